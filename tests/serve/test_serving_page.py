@@ -24,14 +24,13 @@ from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
 from lemma.scene.raster import RASTER
 from lemma.serve.conversation import Conversation, ProtocolMode, remote
 from lemma.serve.faults import FaultKind
+from lemma.serve.arrays import VIEW_ARRAYS, ViewMessage
 from lemma.serve.messages import (
     PROTOCOL,
-    VIEW_ARRAYS,
     Decisions,
     Hello,
     InputMessage,
     StepMessage,
-    ViewMessage,
     decode_reply,
     decode_request,
     encode,

@@ -1,7 +1,7 @@
 """`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -61,6 +61,13 @@ class EvaluateOptions:
     level: Literal["auto", "plan", "skill", "control"] = "auto"
     """Kind of action. plan: sub-tasks without poses, executed with the expert's; skill:
     sub-tasks with poses; control: motor commands; auto: chosen by the policy's name."""
+    acting: Literal["auto", "turns", "together"] = "auto"
+    """How robots act. turns: one works at a time; together: the policy gives orders to
+    all free robots, several of which work at once; auto: together in the suite teams,
+    else turns."""
+    adapter: Literal["auto", "greedy", "turns"] = "auto"
+    """How a sequential policy acts together. greedy: it orders free robots as long as
+    its next sub-task is for one; turns: one sub-task at a time."""
     policy_args: Arguments = ""
     """Arguments of a class of your own, or the environment of a model server;
     values are numbers, true, false or text."""
@@ -154,7 +161,7 @@ def _config(
 ) -> "EvaluationConfig":
     """Return what the options mean."""
     from lemma.evaluation.evaluation import named_at, usual_split
-    from lemma.evaluation.run.config import EvaluationConfig
+    from lemma.evaluation.run.config import EvaluationConfig, acting_by_default
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
@@ -168,14 +175,21 @@ def _config(
     split = ask.split or split
     asks_model = model != NO_MODEL or policy.startswith("llm:")
     chat = model if asks_model else None
+    spec = PolicySpec(
+        policy if ask.level == "control" else named_at(policy, ask.level),
+        *(ask.planning, ask.gta, ask.timeout_s, chat),
+        level="control" if ask.level == "control" else "",
+        arguments=arguments(ask.policy_args),
+    )
+    acting = acting_by_default(tasks, controls=spec.controls)
+    spec = replace(
+        spec,
+        acting=acting if ask.acting == "auto" else ask.acting,
+        adapter="" if ask.adapter == "auto" else ask.adapter,
+    )
     return EvaluationConfig(
         out=out,
-        policy=PolicySpec(
-            policy if ask.level == "control" else named_at(policy, ask.level),
-            *(ask.planning, ask.gta, ask.timeout_s, chat),
-            level="control" if ask.level == "control" else "",
-            arguments=arguments(ask.policy_args),
-        ),
+        policy=spec,
         tasks=tasks,
         split=split,
         kinds=words(ask.instructions.replace("-", "_"), every=kinds_of(tasks, split)),

@@ -163,14 +163,22 @@ class CameraRig:
         chosen = names if cameras is None else tuple(cameras)
         return _SceneView(self, scene, names, chosen)
 
-    def capture(self, scene: Scene, *, cameras: bool = False) -> View:
+    def capture(
+        self,
+        scene: Scene,
+        *,
+        cameras: bool = False,
+        robots: Sequence[str] | None = None,
+    ) -> View:
         """Return what is seen now, rendered now: plain data, which knows no scene.
 
         Args:
             scene: The scene.
+            robots: Names of the robots whose joints and cameras are of interest; all
+                if None.
             cameras: Whether the images of the cameras are kept beside the map.
         """
-        seen = self.look(scene)
+        seen = self.look(scene, robots)
         # First of all, or they are rendered twice.
         images = seen.cameras if cameras else {}
         return replace(View(*(getattr(seen, name) for name in _PLAIN)), cameras=images)

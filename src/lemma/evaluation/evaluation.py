@@ -1,7 +1,7 @@
 """`lemma.evaluate`: a policy that is an object, or a name, on a frozen split."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,13 @@ from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates
-from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
+from lemma.evaluation.run.config import (
+    VERDICTS,
+    EvaluationConfig,
+    acting_by_default,
+)
 from lemma.evaluation.run.evaluate import evaluate as play
+from lemma.policies.control.interfaces import has_options
 from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.planners.registry import is_planner
 from lemma.policies.spec import (
@@ -73,6 +78,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     planning: str = PLANNINGS[0],
     gta: bool = False,
     protocol: str = VERDICTS[0],
+    acting: str = "",
+    adapter: str = "",
     out: str | Path | None = None,
     workers: int = 1,
 ) -> Evaluation:
@@ -94,6 +101,10 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.
         protocol: ``"both"`` verdicts, or ``"strict"`` alone.
+        acting: ``"turns"``, or ``"together"``: several robots at the same time, which
+            is the default in tasks of the suite ``teams``; see
+            :mod:`lemma.policies.together.interfaces`.
+        adapter: How a sequential policy acts together: ``"greedy"`` or ``"turns"``.
         out: Folder of lines and summary, as of ``lemma evaluate --out``; or None. With
             a name, what is there is not played again; an object needs a new one.
         workers: Processes that play; more than one only with a name.
@@ -105,7 +116,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         LemmaError: There is no such policy, task, split or kind, or it is none.
     """
     tasks, kinds = _names(tasks), _names(kinds)
-    spec, engine = _policy(policy, level, planning, gta=gta, workers=workers)
+    ways = {"acting": acting, "adapter": adapter}
+    spec, engine = _policy(policy, level, planning, gta, workers, tasks, ways)
     _check_folder(out, spec)
     with temporary_folder() as nowhere:
         config = EvaluationConfig(
@@ -150,7 +162,13 @@ def usual_split(tasks: Sequence[str]) -> str:
 
 
 def _policy(
-    policy: Any, level: str, planning: str, *, gta: bool, workers: int
+    policy: Any,
+    level: str,
+    planning: str,
+    gta: bool,
+    workers: int,
+    tasks: Sequence[str],
+    ways: dict[str, str],
 ) -> tuple[PolicySpec, Engine]:
     """Return what to play, and where."""
     workers = whole("workers", workers, 1)
@@ -160,13 +178,18 @@ def _policy(
         name = policy if level == CONTROL else named_at(policy, level)
         engine: Engine = ProcessPool(workers) if workers > 1 else Serial()
         own = level if level == CONTROL else ""
-        return PolicySpec(name, planning, gta, level=own), engine
+        spec = PolicySpec(name, planning, gta, level=own)
+        acting = ways["acting"] or acting_by_default(tasks, controls=spec.controls)
+        return replace(spec, acting=acting, adapter=ways["adapter"]), engine
     if workers > 1:
         raise InvalidConfigError(
             f"An object plays in this process, not in {workers} others. Leave out "
             "workers, or give the policy as a name, such as package.module:Class."
         )
-    return GivenPolicy.of(policy, level, planning, gta=gta), Serial()
+    controls = level == CONTROL or (not level and has_options(policy))
+    acting = ways["acting"] or acting_by_default(tasks, controls=controls)
+    ways = {**ways, "acting": acting}
+    return GivenPolicy.of(policy, level, planning, gta=gta, **ways), Serial()
 
 
 def named_at(policy: str, level: str) -> str:

@@ -16,6 +16,7 @@ from msgspec import Meta
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
+from lemma.evaluation.line_parts import Names, Poses, Strict, Symbols, Together
 from lemma.tasks.instance import OWN_SPLIT, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
@@ -67,30 +68,7 @@ class Departure(StrEnum):
     """The primitive is right, what is picked or where it goes is not."""
 
 
-class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A part of a line: what is no field of it could be of any size."""
-
-
-Names = Annotated[list[str], Meta(max_length=1000)]
-
-
-class Symbols(_Strict):
-    """A sub-task without poses."""
-
-    robot: str
-    primitive: str
-    pick: str
-    place: str
-
-
-class _Grounded(_Strict):
-    robot: str
-    primitive: str
-    pick: tuple[float, float, float]
-    place: tuple[float, float, float]
-
-
-class Feedback(_Strict):
+class Feedback(Strict):
     """Judgement of the expert on a decision, before it is carried out."""
 
     expected: Symbols
@@ -109,20 +87,24 @@ class Feedback(_Strict):
 
 
 class _Step(Symbols, kw_only=True):
-    grounded: _Grounded | None
+    grounded: Poses | None
     outcome: str
     explanation: str
     start_s: float
     duration_s: float
     fell: Names
     expert: Feedback
+    waited_s: float | None = None
+    """Time in which it waited for a sector [s]; only where robots act together."""
+    effect_s: float | None = None
+    """When its effect was first seen [s], if somebody looked for it."""
 
 
 Steps = Annotated[list[_Step], Meta(max_length=200)]
 """More than an episode has time for."""
 
 
-class _Coordination(_Strict):
+class _Coordination(Strict):
     expert_s: float | None
     doable: int
     able: int
@@ -132,12 +114,12 @@ class _Coordination(_Strict):
     clearance_mm: float | None
 
 
-class _Fault(_Strict):
+class _Fault(Strict):
     kind: str
     explanation: str
 
 
-class _Planning(_Strict):
+class _Planning(Strict):
     decisions: int
     calls: int
     prompt_tokens: int
@@ -146,14 +128,14 @@ class _Planning(_Strict):
     replans: int
 
 
-class _Event(_Strict):
+class _Event(Strict):
     time_s: float
     robot: str
     event: Literal["grasped", "released"]
     object: str
 
 
-class _Control(_Strict):
+class _Control(Strict):
     """The record of an episode at control level."""
 
     mode: str
@@ -168,7 +150,7 @@ class _Control(_Strict):
     fallen: Names
 
 
-class _Stages(_Strict):
+class _Stages(Strict):
     """The furthest stage, and the verdicts on the first move."""
 
     progress: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -182,7 +164,7 @@ class _Stages(_Strict):
     executed: bool | None
 
 
-class _Verdict(_Strict, kw_only=True):
+class _Verdict(Strict, kw_only=True):
     """The strict verdict of an episode, or that after it went on."""
 
     success: bool
@@ -222,6 +204,8 @@ class _Line(_Verdict, kw_only=True):
     """None if it was played strictly alone."""
     control: _Control | None = None
     """Only for policies at control level."""
+    together: Together | None = None
+    """Only where robots act at the same time."""
     wall_s: float = 0.0
     keeps_state: bool = False
     """Whether the policy says that it remembers other episodes."""

@@ -30,7 +30,7 @@ from lemma.evaluation.run.loading import learned_parts
 from lemma.evaluation.run.replay import differences, play_again
 from lemma.policies.class_path import privileged
 from lemma.policies.planners.registry import is_planner
-from lemma.policies.spec import CONTROL, ORACLE, parts_of
+from lemma.policies.spec import CONTROL, ORACLE, TOGETHER, parts_of
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import SUITE
 
@@ -163,13 +163,20 @@ class Claim:
         control = _level(about["policy"]) == CONTROL
         own = {name: about.get(name, False) for name in _SAME}
         lenient = about["verdicts"] == VERDICTS[0]
+        together = about["policy"].get("acting") == TOGETHER
+        knows = bool(about.get("oracle"))
         for row in self.rows:
             odd = [name for name, told in own.items() if row[name] != told]
             commands = row.get("control") is not None
+            team = row.get("together")
             if odd:
                 yield f"{_named(row)} has another {odd[0]} than the result."
             elif (row["lenient"] is not None) != lenient:
                 yield f"{_named(row)} has not the verdicts that the result names."
+            elif (team is not None) != together:
+                yield f"{_named(row)} has robots that act otherwise than the result."
+            elif team is not None and team["expert_poses"] > knows:
+                yield f"{_named(row)} has the expert's poses, and says no oracle."
             elif control and not commands:
                 yield f"{_named(row)} holds no motor commands, and the result does."
             elif commands and not control:

@@ -14,6 +14,7 @@ from lemma.policies.interfaces import (
     keeps_state,
 )
 from lemma.policies.spec import (
+    ACTINGS,
     CONTROL,
     LEVELS,
     ORACLE,
@@ -38,6 +39,8 @@ class GivenPolicy(PolicySpec):
         planning: str = PLANNINGS[0],
         *,
         gta: bool = False,
+        acting: str = ACTINGS[0],
+        adapter: str = "",
     ) -> "GivenPolicy":
         """Return the spec of an object.
 
@@ -47,6 +50,8 @@ class GivenPolicy(PolicySpec):
                 By default what it can do; what has ``control_options`` controls.
             planning: How it plans.
             gta: Whether the right robot replaces the one that the planner chose.
+            acting: One of :data:`~lemma.policies.spec.ACTINGS`.
+            adapter: How a sequential policy acts together.
 
         Raises:
             InvalidConfigError: It is neither, or cannot plan in that way.
@@ -63,7 +68,8 @@ class GivenPolicy(PolicySpec):
         plans = level == LEVELS[0] or (not level and can(held, Planner) and not whole)
         if plans and not controls:
             name += f"+{ORACLE}"
-        found = cls(name, planning, gta, level=CONTROL if controls else "")
+        level = CONTROL if controls else ""
+        found = cls(name, planning, gta, level=level, acting=acting, adapter=adapter)
         object.__setattr__(found, "_held", held)
         found.load()
         return found
@@ -73,7 +79,7 @@ class GivenPolicy(PolicySpec):
         """Whether some part of it is given the truth: results say so."""
         return is_oracle(self.load())
 
-    def _part(self, name: str, load: Load | None) -> Any:
+    def part(self, name: str, load: Load | None) -> Any:
         """Return the object: names are not looked up."""
         return self._held
 
@@ -101,7 +107,7 @@ class GivenPolicy(PolicySpec):
                 "shall remember the episodes before, give it keeps_state = True."
             ) from error
 
-    def _is_planner(self, part: str) -> bool:
+    def is_planner(self, part: str) -> bool:
         """No: a module may have the name of a planner."""
         return False
 

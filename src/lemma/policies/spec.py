@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.registry import takes
 from lemma.policies.class_path import (
@@ -44,10 +45,17 @@ ORACLE = "oracle"
 FOREVER_S = 1e6
 """Stands for no limit [s]."""
 PLANNINGS = ("single-step", "multi-step")
+ACTINGS = ("turns", "together")
+"""Robots act one after the other; or several at the same time."""
+TOGETHER = ACTINGS[1]
+ADAPTERS = ("greedy", "turns")
+"""How sequential policies give orders to a team, the default first."""
 LEVELS = ("plan", "skill", "control")
 """A policy decides on sub-tasks in symbols, on sub-tasks with poses, or on motor
 commands."""
 CONTROL = LEVELS[2]
+_UNSAID = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
+"""Fields that are not told where they have these values."""
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
 Load = Callable[[str], Any]
@@ -132,11 +140,18 @@ class PolicySpec:
     """``"control"`` if it answers motor commands; else its name tells the level."""
     arguments: tuple[tuple[str, Any], ...] = ()
     """Names and values that its class is called with."""
+    acting: str = ACTINGS[0]
+    """``"turns"``: one robot works at a time; ``"together"``: the policy gives orders
+    to free robots, several of which work at once."""
+    adapter: str = ""
+    """How a sequential policy acts together, see :mod:`.together.adapters`: one of
+    :data:`ADAPTERS`; empty for what can do so itself, and ``"greedy"`` otherwise."""
 
     def __post_init__(self) -> None:
         """Check the names and the time, and that its planners can be made."""
         check_no_secret(name for name, _ in self.arguments)
         self._check_level()
+        self._check_acting()
         if self.planning not in PLANNINGS:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
         if not 0.0 <= self.timeout_s < float("inf"):
@@ -149,7 +164,7 @@ class PolicySpec:
                 f"{self.name} asks no language model, so there is no server and no "
                 "cassette for it. Leave these options out, or name llm:MODEL."
             )
-        for part in filter(self._is_planner, self.parts):
+        for part in filter(self.is_planner, self.parts):
             self._planner(part)
 
     def _check_level(self) -> None:
@@ -168,11 +183,29 @@ class PolicySpec:
                 f"{self.name} answers motor commands, so there is nothing to combine "
                 "it with, nor another level. Name the address alone."
             )
-        if self.arguments and (not own or any(map(self._is_planner, self.parts))):
+        if self.arguments and (not own or any(map(self.is_planner, self.parts))):
             raise InvalidConfigError(
                 f"{self.name} takes no arguments. Classes do, package.module:Class, "
                 "and model servers, vla-eval://HOST:PORT."
             )
+
+    def _check_acting(self) -> None:
+        known("way of acting", self.acting, ACTINGS)
+        if self.adapter:
+            known("adapter", self.adapter, ADAPTERS)
+        if self.together and self.controls:
+            raise InvalidConfigError(
+                "Motor commands are those of all robots already. Leave out acting."
+            )
+        if self.adapter and not self.together:
+            raise InvalidConfigError(
+                f"The adapter {self.adapter!r} is for policies that act together."
+            )
+
+    @property
+    def together(self) -> bool:
+        """Whether several robots may work at the same time."""
+        return self.acting == TOGETHER
 
     @property
     def controls(self) -> bool:
@@ -186,9 +219,7 @@ class PolicySpec:
         # As JSON has it: what is read back must be equal.
         told["arguments"] = dict(self.arguments)
         return {
-            name: value
-            for name, value in told.items()
-            if value or name not in ("level", "arguments")
+            name: value for name, value in told.items() if value != _UNSAID.get(name)
         }
 
     def planners(self) -> list[Any]:
@@ -197,9 +228,9 @@ class PolicySpec:
         Raises:
             LemmaError: One cannot be made so.
         """
-        return [self._planner(part) for part in self.parts if self._is_planner(part)]
+        return [self._planner(part) for part in self.parts if self.is_planner(part)]
 
-    def _is_planner(self, part: str) -> bool:
+    def is_planner(self, part: str) -> bool:
         """Whether a part is a name of a planner that is registered."""
         return is_planner(part)
 
@@ -221,19 +252,19 @@ class PolicySpec:
 
     def _object(self, part: str) -> object:
         """Return what a part means, where that is known without loading it."""
-        return self._planner(part) if self._is_planner(part) else None
+        return self._planner(part) if self.is_planner(part) else None
 
     @property
     def oracle(self) -> bool:
         """Whether some part of it is given the truth: results say so."""
         # A planner alone is given the expert's poses.
-        alone = len(self.parts) == 1 and self._is_planner(self.name)
+        alone = len(self.parts) == 1 and self.is_planner(self.name)
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
     def _is_oracle(self, part: str) -> bool:
         if part == ORACLE or privileged(part):
             return True
-        if self._is_planner(part):
+        if self.is_planner(part):
             return is_oracle(self._planner(part))
         # Other processes get no privileged state.
         if ":" not in part or "://" in part or self.timeout_s > 0.0:
@@ -245,7 +276,8 @@ class PolicySpec:
         """Return the policy, ready to act.
 
         It is a :class:`Policy`; at control level, a
-        :class:`~lemma.policies.control.interfaces.ControlPolicy`.
+        :class:`~lemma.policies.control.interfaces.ControlPolicy`; where robots act
+        together, a :class:`~lemma.policies.together.interfaces.TeamPolicy`.
 
         Args:
             load: Returns the planner, grounder or policy of a name; :func:`load_part`
@@ -256,30 +288,39 @@ class PolicySpec:
                 the way that is asked for.
             LemmaError: Its weights are missing or damaged.
         """
+        if not self.together:
+            return self.load_sequential(load)
+        # A team policy may be made of a sequential one.
+        from lemma.policies.together.loading import team_of  # noqa: PLC0415
+
+        return team_of(self, load)
+
+    def load_sequential(self, load: Load | None = None) -> Any:
+        """Return the policy that acts in turns; see :meth:`load`."""
         first, *more = self.parts
         if self.controls:
             known = self.name == ORACLE
-            found = ExpertControl() if known else self._part(self.name, load)
+            found = ExpertControl() if known else self.part(self.name, load)
             told = "is no policy at control level: it has no act(inputs)."
             return _able(found, Policy, f"{self.name} {told}")
-        if not (more or first == ORACLE or self._is_planner(first)):
+        if not (more or first == ORACLE or self.is_planner(first)):
             return self._whole(load)
-        planner = OraclePlanner() if first == ORACLE else self._part(first, load)
+        planner = OraclePlanner() if first == ORACLE else self.part(first, load)
         _able(planner, Planner, f"{first} cannot plan; it has no plan(inputs).")
-        registered = self._is_planner(first)
+        registered = self.is_planner(first)
         if registered and self.planning != PLANNINGS[0] and is_oracle(planner):
             raise InvalidConfigError(
                 f"{first} is told how the table is before each sub-task, so it cannot "
                 "plan from the first image alone. Leave out --planning."
             )
         last = more[0] if more else ORACLE
-        grounder = OracleGrounder() if last == ORACLE else self._part(last, load)
+        grounder = OracleGrounder() if last == ORACLE else self.part(last, load)
         told = "cannot ground; it has no ground(inputs, subtasks)."
         return self._compose(planner, _able(grounder, Grounder, f"{last} {told}"))
 
-    def _part(self, name: str, load: Load | None) -> Any:
+    def part(self, name: str, load: Load | None) -> Any:
         """Return the planner, grounder or policy of a name."""
-        if self._is_planner(name):
+        if self.is_planner(name):
             return self._planner(name)
         return load(name) if load else load_part(name, dict(self.arguments))
 
@@ -289,7 +330,7 @@ class PolicySpec:
         Raises:
             InvalidConfigError: It cannot act, or not in the way that is asked for.
         """
-        whole = self._part(self.name, load)
+        whole = self.part(self.name, load)
         if has_options(whole):
             raise InvalidConfigError(f"{self.name} {IS_CONTROL}")
         if self.gta or self.planning != PLANNINGS[0]:

@@ -16,7 +16,9 @@ from lemma.core.errors import LemmaError
 from lemma.env.view import View
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.together.interfaces import Orders, TeamInput
 from lemma.serve import messages
+from lemma.serve.arrays import ViewMessage
 from lemma.serve.faults import (
     UNAVAILABLE,
     FaultKind,
@@ -139,7 +141,7 @@ class Conversation:
 
     def decide(
         self,
-        question: type[messages.Act],
+        question: type[messages.Act] | type[messages.Together],
         inputs: Sequence[PolicyInput],
         wanted: type[R],
         **more: Any,
@@ -212,14 +214,16 @@ class Conversation:
         From now on the other side is taken to know the views of this request alone.
         """
         known, self._sent = self._sent, {}
-        written, new = [], []
+        written, new = list[messages.InputMessage](), []
         for given in inputs:
-            for view in (*(step.view for step in given.past), given.view):
+            own = given.own_views if isinstance(given, TeamInput) else {}
+            seen = (*(step.view for step in given.past), given.view, *own.values())
+            for view in seen:
                 if view in self._sent:
                     continue
                 if view not in known:
                     known[view] = next(self._numbers)
-                    new.append(messages.ViewMessage.of(known[view], view))
+                    new.append(ViewMessage.of(known[view], view))
                 self._sent[view] = known[view]
             past = [
                 messages.StepMessage(
@@ -228,9 +232,19 @@ class Conversation:
                 for step in given.past
             ]
             number, robots = self._sent[given.view], list(given.robots)
-            written.append(
-                messages.InputMessage(given.instruction, robots, number, past)
-            )
+            plain = (given.instruction, robots, number, past)
+            if isinstance(given, TeamInput):
+                told = messages.TeamMessage(
+                    *plain,
+                    time_s=given.time_s,
+                    free=list(given.free),
+                    doing=dict(given.doing),
+                    messages=list(given.messages),
+                    own_views={name: self._sent[view] for name, view in own.items()},
+                )
+                written.append(told)
+            else:
+                written.append(messages.InputMessage(*plain))
         return {"inputs": written, "views": new}
 
     def _ask(self, request: messages.Request, wanted: type[R], timeout_s: float) -> R:
@@ -361,6 +375,24 @@ class _Acts(Remote):
         ]
 
 
+class _ActsTogether(Remote):
+    """Gives orders to the free robots of a team."""
+
+    @property
+    def asks_robots(self) -> bool:
+        """Whether each robot decides alone, and needs its own view."""
+        return self.about.get("asks_robots") is True
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return the orders of each episode.
+
+        Raises:
+            PolicyFailedError: It has none.
+        """
+        reply = self.conversation.decide(messages.Together, inputs, messages.AllOrders)
+        return _counted(reply.orders, "orders", len(inputs))
+
+
 class _Plans(Remote):
     """Decides in symbols."""
 
@@ -391,7 +423,12 @@ class _Grounds(Remote):
         return _counted(reply.poses, "poses", len(inputs))
 
 
-_PARTS: dict[str, type[Remote]] = {"act": _Acts, "plan": _Plans, "ground": _Grounds}
+_PARTS: dict[str, type[Remote]] = {
+    "act": _Acts,
+    "plan": _Plans,
+    "ground": _Grounds,
+    "act_together": _ActsTogether,
+}
 
 
 def remote(conversation: Conversation) -> Remote:

@@ -5,7 +5,6 @@ travel as the records that policies use, so the names of their fields are part o
 protocol.
 """
 
-import math
 from collections.abc import Mapping
 from importlib import import_module
 from types import ModuleType
@@ -13,109 +12,23 @@ from typing import Any, Self, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from lemma.core.errors import InvalidConfigError, shown
+from lemma.core.errors import InvalidConfigError
 from lemma.env.view import View
 from lemma.policies.control.interfaces import ControlInput
-from lemma.policies.interfaces import Decision
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.together.interfaces import Doing, Message, Orders, TeamInput
 from lemma.scene.cameras import Camera
+from lemma.serve.arrays import Array, ViewMessage
 from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 PROTOCOL = 2
 """Version of the protocol: the first thing that both sides compare."""
-METHODS = ("act", "plan", "ground")
+METHODS = ("act", "plan", "ground", "act_together")
 """Methods that a policy may have."""
 LARGEST_BYTES = 1 << 28
 """Largest message: ten episodes with all their views need far less."""
-VIEW_ARRAYS = {
-    "rgb": ("uint8", 3),
-    "height_m": ("float32", 2),
-    "coverage": ("bool", 2),
-    "joints": ("float64", 2),
-    "opening_m": ("float64", 1),
-}
-"""Type and number of dimensions of every array of a view."""
-ARRAY_TYPES = ("bool", "int8", "uint8", "int64", "float32", "float64")
-"""Valid types of numbers."""
-
-
-class Array(msgspec.Struct):
-    """An array, little-endian, last index fastest."""
-
-    dtype: str
-    shape: list[int]
-    data: memoryview
-
-    @classmethod
-    def of(cls, array: NDArray[Any], dtype: str) -> Self:
-        """Return an array as a message."""
-        plain = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
-        return cls(dtype, list(plain.shape), memoryview(plain.tobytes()))
-
-    def read(self, name: str) -> NDArray[Any]:
-        """Return the array, read-only.
-
-        Args:
-            name: For messages to people.
-
-        Raises:
-            ProtocolError: It is damaged.
-        """
-        if self.dtype not in ARRAY_TYPES:
-            raise ProtocolError(
-                f"The array {name!r} is of {self.dtype!r:.40}. Valid: "
-                f"{', '.join(ARRAY_TYPES)}."
-            )
-        stored = np.dtype(self.dtype).newbyteorder("<")
-        wanted = math.prod(self.shape) * stored.itemsize
-        if min(self.shape, default=0) < 0 or wanted != self.data.nbytes:
-            raise ProtocolError(
-                f"The array {name!r} of shape {shown(self.shape)} has "
-                f"{self.data.nbytes} bytes, not {shown(wanted)}."
-            )
-        try:
-            return np.frombuffer(self.data, stored).reshape(self.shape)
-        except (ValueError, OverflowError) as error:
-            raise ProtocolError(f"The array {name!r} cannot be: {error}.") from error
-
-
-class ViewMessage(msgspec.Struct):
-    """A view, and the number by which inputs refer to it on this connection."""
-
-    number: int
-    rgb: Array
-    height_m: Array
-    coverage: Array
-    joints: Array
-    opening_m: Array
-
-    @classmethod
-    def of(cls, number: int, view: View) -> Self:
-        """Return a view as a message."""
-        arrays = {
-            name: Array.of(getattr(view, name), dtype)
-            for name, (dtype, _) in VIEW_ARRAYS.items()
-        }
-        return cls(number, **arrays)
-
-    def read(self) -> View:
-        """Return the view.
-
-        Raises:
-            ProtocolError: An array is of another type or shape, or damaged.
-        """
-        arrays = {}
-        for name, (dtype, dimensions) in VIEW_ARRAYS.items():
-            array = getattr(self, name)
-            if (array.dtype, len(array.shape)) != (dtype, dimensions):
-                raise ProtocolError(
-                    f"The array {name!r} of a view is {array.dtype!r:.40} with "
-                    f"{len(array.shape)} dimensions, not {dtype} with {dimensions}."
-                )
-            arrays[name] = array.read(name)
-        return View(**arrays)
 
 
 class StepMessage(msgspec.Struct):
@@ -134,6 +47,35 @@ class InputMessage(msgspec.Struct):
     robots: list[str]
     view: int
     past: list[StepMessage] = []
+
+
+class TeamMessage(InputMessage, kw_only=True):
+    """The input of a team policy for an episode."""
+
+    time_s: float
+    free: list[str]
+    doing: dict[str, Doing] = {}
+    messages: list[Message] = []
+    own_views: dict[str, int] = {}
+
+    def read(self, plain: PolicyInput, views: Mapping[int, View]) -> TeamInput:
+        """Return the input.
+
+        Args:
+            plain: What a sequential policy is given of it.
+            views: By number.
+        """
+        return TeamInput(
+            plain.instruction,
+            plain.robots,
+            plain.view,
+            plain.past,
+            time_s=self.time_s,
+            free=tuple(self.free),
+            doing=self.doing,
+            messages=tuple(self.messages),
+            own_views={name: views[view] for name, view in self.own_views.items()},
+        )
 
 
 class ControlMessage(msgspec.Struct):
@@ -228,6 +170,13 @@ class Plan(Act, tag="plan"):
     """Asks for sub-tasks."""
 
 
+class Together(_Tagged, tag="together"):
+    """Asks for orders to the free robots of teams."""
+
+    inputs: list[TeamMessage]
+    views: list[ViewMessage]
+
+
 class Ground(Act, tag="ground"):
     """Asks for poses of sub-tasks."""
 
@@ -255,6 +204,12 @@ class Decisions(_Tagged, tag="decisions"):
     decisions: list[Decision]
 
 
+class AllOrders(_Tagged, tag="orders"):
+    """Answers ``together``."""
+
+    orders: list[Orders]
+
+
 class Commands(_Tagged, tag="commands"):
     """Answers ``control``: an action or a chunk of actions for each input."""
 
@@ -280,8 +235,8 @@ class Error(_Tagged, tag="error"):
     message: str
 
 
-Request = Hello | Act | Plan | Ground | Control
-Reply = Welcome | Decisions | SubTasks | Poses | Commands | Error
+Request = Hello | Act | Plan | Ground | Together | Control
+Reply = Welcome | Decisions | SubTasks | Poses | AllOrders | Commands | Error
 
 M = TypeVar("M")
 

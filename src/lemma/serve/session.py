@@ -12,8 +12,11 @@ from lemma.core.version import VERSION as __version__
 from lemma.env.view import View
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.interfaces import PastStep, PolicyInput, is_oracle, keeps_state
+from lemma.policies.together.each_asked import EachAsked, asks_robots
+from lemma.policies.together.interfaces import orders_of
 from lemma.scene.cameras import CLOSE_PX
 from lemma.serve import messages, vla_eval
+from lemma.serve.arrays import Array
 from lemma.serve.faults import (
     UNAVAILABLE,
     FaultKind,
@@ -54,11 +57,13 @@ class Session:
         Raises:
             ProtocolError: It has none of these methods, or is an oracle.
         """
+        if hasattr(policy, "act_alone") and not hasattr(policy, "act_together"):
+            policy = EachAsked(policy)
         self.methods = [name for name in messages.METHODS if hasattr(policy, name)]
         if not self.methods:
             raise ProtocolError(
-                f"A {type(policy).__name__} is no policy: it has no act(), plan() or "
-                "ground()."
+                f"A {type(policy).__name__} is no policy: it has no act(), plan(), "
+                "ground(), act_together() or act_alone()."
             )
         if is_oracle(policy):
             raise ProtocolError(
@@ -70,6 +75,8 @@ class Session:
         self._about = {"name": type(policy).__name__, **(about or {})}
         if hasattr(policy, "control_options"):
             self._about["control_options"] = dict(policy.control_options)
+        if asks_robots(policy):
+            self._about["asks_robots"] = True
         if keeps_state(policy):
             self._about["keeps_state"] = True
         self._call = call
@@ -90,6 +97,9 @@ class Session:
         if isinstance(asked, messages.Control):
             return self._control(asked.inputs)
         inputs = self._inputs(asked)
+        if isinstance(asked, messages.Together):
+            answers = self._ask("act_together", inputs)
+            return messages.AllOrders(orders=list(map(orders_of, answers)))
         if isinstance(asked, messages.Ground):
             return messages.Poses(poses=self._ask("ground", inputs, asked.subtasks))
         if isinstance(asked, messages.Plan):
@@ -116,7 +126,7 @@ class Session:
         while len(self._memories) > _MEMORIES:
             del self._memories[next(iter(self._memories))]
         return messages.Commands(
-            actions=[messages.Array.of(rows, "float64") for rows, _ in answers]
+            actions=[Array.of(rows, "float64") for rows, _ in answers]
         )
 
     def _welcome(self, version: int) -> messages.Welcome:
@@ -133,11 +143,13 @@ class Session:
             lemma=__version__,
         )
 
-    def _inputs(self, asked: messages.Act) -> list[PolicyInput]:
+    def _inputs(self, asked: messages.Act | messages.Together) -> list[PolicyInput]:
         """Return the inputs of a request, and keep its views for the next one."""
         known = self._views | {view.number: view.read() for view in asked.views}
         used = {one.view for one in asked.inputs}
         used |= {step.view for one in asked.inputs for step in one.past}
+        teams = [one for one in asked.inputs if isinstance(one, messages.TeamMessage)]
+        used |= {view for one in teams for view in one.own_views.values()}
         unknown = sorted(used - known.keys())
         if unknown:
             raise ProtocolError(f"The views {unknown} were not sent, or are forgotten.")
@@ -151,9 +163,12 @@ class Session:
             )
             for step in asked.past
         )
-        return PolicyInput(
+        found = PolicyInput(
             asked.instruction, tuple(asked.robots), self._views[asked.view], past
         )
+        if isinstance(asked, messages.TeamMessage):
+            return asked.read(found, self._views)
+        return found
 
 
 def _told(error: Exception) -> tuple[str, str]:

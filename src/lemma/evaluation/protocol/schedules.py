@@ -19,9 +19,18 @@ from lemma.core.seeding import ordered_sum
 from lemma.env.simulation import Simulation
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import Job, Schedule, in_order, pose_jobs
+from lemma.planning.schedule import (
+    Job,
+    Schedule,
+    in_order,
+    pose_jobs,
+    predecessors,
+)
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.objects.entity import SHARED, pair_regions
 from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import SubTask
+from lemma.tasks.suite import load_instance
 
 SCHEDULES = "schedules.json.gz"
 """File in the package."""
@@ -68,10 +77,14 @@ def executed_s(instance: Instance) -> float | None:
 
     Returns:
         The shorter of two executions with all robots at once, of the planner's order
-        and of the schedule's; None for instances that are not in the table.
+        and of the schedule's; None for instances that are not in the table, also where
+        objects begin elsewhere.
     """
     found: float | None = _entry(instance, "executed_s")
-    return found
+    if found is None:
+        return None
+    listed = load_instance(instance.task, instance.split, instance.index)
+    return found if listed.scene == instance.scene else None
 
 
 def _entry(instance: Instance, column: str) -> Any:
@@ -173,3 +186,30 @@ def team_times(robots: Sequence[str], worked: Sequence[Worked]) -> TeamTimes:
         **{f"{name}_s": spent[name] for name in names},
         parallel_s=parallel_s,
     )
+
+
+def worked_in(subtasks: Sequence[Mapping[str, Any]], robots: int) -> list[Worked]:
+    """Return how the sub-tasks of an episode's line followed each other.
+
+    Args:
+        subtasks: Of the line, whether robots acted together or in turns.
+        robots: Number of robots.
+    """
+    ordered = sorted(subtasks, key=lambda step: step["start_s"])
+    names = [SubTask.from_dict(dict(step)) for step in ordered]
+    needs = predecessors(names, (SHARED, *pair_regions(robots)))
+    ends = [step["start_s"] + step["duration_s"] for step in ordered]
+    effects = [
+        end if step.get("effect_s") is None else step["effect_s"]
+        for step, end in zip(ordered, ends, strict=True)
+    ]
+    return [
+        Worked(
+            step["robot"],
+            step["start_s"],
+            end,
+            step.get("waited_s") or 0.0,
+            max((effects[i] for i in needed), default=0.0),
+        )
+        for step, end, needed in zip(ordered, ends, needs, strict=True)
+    ]

@@ -1,7 +1,7 @@
 """The configuration of an evaluation: policy, episodes and sentences."""
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,7 +19,7 @@ from lemma.evaluation.records import PROTOCOL_VERSION
 from lemma.evaluation.run.loading import served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
-from lemma.policies.spec import PLANNINGS, PolicySpec
+from lemma.policies.spec import ACTINGS, PLANNINGS, PolicySpec
 from lemma.tasks.instance import (
     BENCHMARK_VERSION,
     OWN_SPLIT,
@@ -28,7 +28,23 @@ from lemma.tasks.instance import (
 )
 from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
+from lemma.tasks.names import SUITES
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
+
+
+def acting_by_default(tasks: Iterable[str], *, controls: bool = False) -> str:
+    """Return how robots act in some tasks unless a way is named.
+
+    Together in tasks of the suite ``teams``, and in turns in all others and by motor
+    commands, as published results have it.
+
+    Args:
+        tasks: Names of the tasks.
+        controls: Whether the policy answers motor commands.
+    """
+    together = set(tasks) <= set(SUITES["teams"]) and not controls
+    return ACTINGS[together]
+
 
 VERDICTS = ("both", "strict")
 """How far episodes are played: to both verdicts, or to the strict one alone."""
@@ -136,6 +152,10 @@ class EvaluationConfig:
             **versions(BENCHMARK_VERSION),
         }
 
+    @property
+    def _usual(self) -> str:
+        return acting_by_default(self.tasks, controls=self.policy.controls)
+
     def command(self) -> str:
         """Return the command line that asks for the same, ready to be pasted.
 
@@ -155,6 +175,8 @@ class EvaluationConfig:
             ("--policy-args", ",".join(told), bool(told)),
             ("--planning", policy.planning, policy.planning != PLANNINGS[0]),
             ("--gta", "", policy.gta),
+            ("--acting", policy.acting, policy.acting != self._usual),
+            ("--adapter", policy.adapter, bool(policy.adapter)),
             ("--timeout", f"{policy.timeout_s:g}", policy.timeout_s != TIMEOUT_S),
             ("--language", self.language, self.language != FULL),
         )

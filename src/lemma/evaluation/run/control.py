@@ -19,7 +19,8 @@ from lemma.env.observation import OBSERVATIONS, Observer, write_text
 from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.run.fault_isolation import Fault
 from lemma.evaluation.run.loading import load_policy
-from lemma.evaluation.run.rollout import Player, Rollout
+from lemma.evaluation.run.rollout import Player, Rollout, Verdict
+from lemma.evaluation.run.together import TeamPlayer
 from lemma.evaluation.run.watches import HandlingWatch
 from lemma.policies.control.interfaces import (
     CONTROL_OPTIONS,
@@ -145,7 +146,7 @@ class ControlRollout(Rollout):
         except InvalidActionError as error:
             self.fail(Fault(FaultKind.MALFORMED, str(error)))
 
-    def told(self) -> dict[str, Any]:
+    def told(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
         return {
             "control": {
@@ -211,4 +212,6 @@ def load_player(spec: PolicySpec) -> Player:
     """
     if spec.controls:
         return ControlPlayer(load_policy(spec))
+    if spec.together:
+        return TeamPlayer.load(spec)
     return Player.load(spec)

@@ -222,7 +222,7 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         },
         "subtasks": taken,
         "left": strict.left,
-        **rollout.told(),
+        **rollout.told(strict),
         **planning,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
     }
@@ -240,7 +240,6 @@ def planning_of(rollout: Rollout, decisions: range) -> dict[str, Any]:
     efforts = [rollout.efforts[number] for number in decisions]
     if not efforts:
         return {}
-    before = [rollout.steps[number - 1] for number in decisions if number > 0]
     invalid = Counter(kind for effort in efforts for kind in effort.invalid)
     return {
         "planning": {
@@ -249,7 +248,7 @@ def planning_of(rollout: Rollout, decisions: range) -> dict[str, Any]:
             "prompt_tokens": sum(effort.prompt_tokens for effort in efforts),
             "completion_tokens": sum(effort.completion_tokens for effort in efforts),
             "invalid": dict(sorted(invalid.items())),
-            "replans": sum(not step.result.ok for step in before),
+            "replans": rollout.replans(decisions),
         }
     }
 

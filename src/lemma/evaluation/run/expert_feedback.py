@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from lemma.env.episode import Episode
-from lemma.evaluation.records import Departure, Feedback, Row, Symbols, enough
-from lemma.motion.outcome import Outcome
-from lemma.planning.grounding import GeometricGrounder
+from lemma.evaluation.line_parts import Symbols
+from lemma.evaluation.records import Departure, Feedback, Row, enough
+from lemma.motion.outcome import Outcome, SkillResult
+from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision
@@ -20,16 +21,30 @@ from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 
-def left_in(episode: Episode) -> int | None:
-    """Return how many sub-tasks the expert needs from here; None if it has no plan."""
-    now = SymbolicState.observe(episode.simulation.scene)
+def left_in(episode: Episode, now: SymbolicState | None = None) -> int | None:
+    """Return how many sub-tasks the expert needs from here; None if it has no plan.
+
+    Args:
+        episode: The episode.
+        now: The state that is meant; the present one if None.
+    """
+    now = now or SymbolicState.observe(episode.simulation.scene)
     plan = _plan(episode, now, GeometricGrounder(now.spec))
     return None if plan is None else len(plan)
 
 
-def advise(episode: Episode, decision: Decision) -> Feedback:
-    """Return what the expert says of a decision in the state that an episode is in."""
-    now = SymbolicState.observe(episode.simulation.scene)
+def advise(
+    episode: Episode, decision: Decision, now: SymbolicState | None = None
+) -> Feedback:
+    """Return what the expert says of a decision in the state that an episode is in.
+
+    Args:
+        episode: The episode.
+        decision: Not to stop.
+        now: The state that is meant, such as what all that is under way will leave
+            behind; the present one if None.
+    """
+    now = now or SymbolicState.observe(episode.simulation.scene)
     geometry = GeometricGrounder(now.spec)
     plan = _plan(episode, now, geometry)
     subtask = decision.subtask
@@ -48,6 +63,18 @@ def advise(episode: Episode, decision: Decision) -> Feedback:
         pick_error_mm=_millimetres(pick),
         place_error_mm=_millimetres(place),
     )
+
+
+def refuse(episode: Episode, decision: Decision) -> SkillResult:
+    """Return how a decision without poses ends: as at plan level, if it must fail."""
+    scene = episode.simulation.scene
+    found = ground_or_refuse(
+        decision.subtask, SymbolicState.observe(scene), GeometricGrounder(scene.spec)
+    )
+    if isinstance(found, SkillResult):
+        return found
+    why = decision.explanation or f"No pose was found for: {decision.subtask}."
+    return SkillResult(Outcome.INVALID, why, 0.0)
 
 
 def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:

@@ -16,6 +16,13 @@ from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
 from lemma.policies.control.interfaces import Actions, ControlInput, ControlPolicy
 from lemma.policies.interfaces import Decision, Effort, Policy, PolicyInput
+from lemma.policies.together.interfaces import (
+    LONGEST_MESSAGE,
+    Message,
+    Orders,
+    TeamInput,
+    orders_of,
+)
 from lemma.scene.objects.entity import SHARED, known_entities, pair_regions
 from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
@@ -80,7 +87,9 @@ class IsolatedPolicy:
 
     def _ask(self, inputs: Sequence[Any]) -> list[object] | Fault:
         try:
-            answers: object = self._policy.act(inputs)
+            together = isinstance(inputs[0], TeamInput)
+            ask = self._policy.act_together if together else self._policy.act
+            answers: object = ask(inputs)
         except PolicyFailedError as error:
             return Fault(error.kind, _cut(str(error)))
         except Exception as error:
@@ -102,7 +111,9 @@ class IsolatedPolicy:
         return list(answers)
 
 
-def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions | Fault:
+def check(
+    answer: Any, given: PolicyInput | ControlInput
+) -> Decision | Actions | Orders | Fault:
     """Return a decision in plain Python types, or what is wrong with it.
 
     An entity that is not on this table and a pose that the robot cannot reach are
@@ -116,6 +127,8 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
     try:
         if isinstance(given, ControlInput):
             return _checked_actions(answer)
+        if isinstance(given, TeamInput):
+            return _checked_orders(answer, given)
         return _checked_decision(answer, len(given.robots))
     except PolicyFailedError as error:
         failed = isinstance(answer, Decision) and bool(answer.failed)
@@ -125,6 +138,36 @@ def check(answer: Any, given: PolicyInput | ControlInput) -> Decision | Actions 
 
 def _effort(answer: Decision) -> Effort | None:
     return answer.effort if isinstance(answer.effort, Effort) else None
+
+
+def _checked_orders(answer: Any, given: TeamInput) -> Orders:
+    """Return orders for free robots, one for each at most."""
+    try:
+        found = orders_of(answer)
+    except TypeError as error:
+        raise _malformed(f"The policy's {error}") from error
+    decisions = [_checked_decision(one, len(given.robots)) for one in found.decisions]
+    free = set(given.free)
+    for decision in decisions:
+        if not decision.stops and decision.subtask.robot not in free:
+            raise _malformed(
+                f"The policy orders {decision.subtask}, and {decision.subtask.robot} "
+                "is busy or was ordered something in the same answer. Free are: "
+                f"{', '.join(given.free) or 'none'}"
+            )
+        free.discard(decision.subtask.robot)
+    messages = [_message(one, given) for one in found.messages]
+    efforts = [one for one in found.efforts if isinstance(one, Effort)]
+    return Orders(tuple(decisions), tuple(messages), tuple(efforts))
+
+
+def _message(message: object, given: TeamInput) -> Message:
+    if not isinstance(message, Message) or not isinstance(message.text, str):
+        raise _malformed(f"A message is a {type(message).__name__}, no Message")
+    if len(message.text) > LONGEST_MESSAGE:
+        raise _malformed(f"A message is longer than {LONGEST_MESSAGE} characters")
+    _check_name("robot", message.robot, robot_names(len(given.robots)))
+    return Message(message.robot, message.text, given.time_s)
 
 
 def _checked_actions(answer: Any) -> Actions:

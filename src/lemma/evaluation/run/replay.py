@@ -9,6 +9,7 @@ from lemma.evaluation.records import STATE, WALL_CLOCK, Row
 from lemma.evaluation.run.evaluate import line_of
 from lemma.evaluation.run.fault_isolation import Fault, check
 from lemma.evaluation.run.rollout import Rollout
+from lemma.evaluation.run.together import TeamRollout
 from lemma.policies.interfaces import Decision
 from lemma.serve.faults import FaultKind
 from lemma.tasks.instance import Instance
@@ -17,7 +18,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 Watcher = Callable[[Episode, int], None]
 """Called with an episode before each sub-task, from 0, and again at the end."""
 
-_FREE = (*WALL_CLOCK, "planning", "policy_error", "explanation")
+_FREE = (*WALL_CLOCK, "planning", "policy_error", "explanation", "messages")
 """Fields that depend on the machine or on the policy, and sentences for people."""
 
 
@@ -37,32 +38,61 @@ def play_again(
         row: A line of ``episodes.jsonl``, not of a policy at control level.
         instance: The instance that it was played on.
         about: Settings, as in ``about.json``: the horizon, and the sentence given.
-        watch: Called with the episode before each sub-task.
+        watch: Called with the episode before each sub-task; where robots act together
+            before each decision, with the number of sub-tasks that have ended.
         strictly: Whether to end where the strict verdict was reached.
     """
-    rollout = Rollout(
-        instance,
-        row["instruction_kind"],
-        about["horizon_s"],
-        control_of(about.get("language", FULL), instance, row["instruction_kind"]),
-    )
+    rollout = _set_table(row, instance, about)
     lenient = None if strictly else row["lenient"]
-    subtasks = [*row["subtasks"], *(lenient["subtasks"] if lenient else ())]
-    for number, step in enumerate(subtasks):
-        if rollout.is_over(strict=lenient is None):
-            break
-        watch(rollout.episode, number)
-        given = rollout.given(None)
-        # No evaluation wrote what is no decision: the policy would have failed there.
-        rollout.carry_out(given, check(decision_of(step), given))
+    if isinstance(rollout, TeamRollout):
+        count = _order_again(rollout, row["together"], watch, strict=lenient is None)
+    else:
+        subtasks = [*row["subtasks"], *(lenient["subtasks"] if lenient else ())]
+        count = len(subtasks)
+        for number, step in enumerate(subtasks):
+            if rollout.is_over(strict=lenient is None):
+                break
+            watch(rollout.episode, number)
+            given = rollout.given(None)
+            # No evaluation wrote what is no decision: the policy would have failed.
+            rollout.carry_out(given, check(decision_of(step), given))
     fault = (lenient or row)["policy_error"]
     if not rollout.is_over(strict=lenient is None):
         if fault is None:
-            rollout.episode.stop()
+            rollout.stop()
         else:
             rollout.fail(Fault(FaultKind(fault["kind"]), fault["explanation"]))
-    watch(rollout.episode, len(subtasks))
+    watch(rollout.episode, count)
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
+
+
+def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollout:
+    """Return the episode of a line at its beginning."""
+    kind, together = row["instruction_kind"], row.get("together")
+    control = control_of(about.get("language", FULL), instance, kind)
+    told = (instance, kind, about["horizon_s"], control)
+    if together is None:
+        return Rollout(*told)
+    return TeamRollout(*told, expert_poses=together["expert_poses"])
+
+
+def _order_again(
+    rollout: TeamRollout, together: Row, watch: Watcher, *, strict: bool
+) -> int:
+    """Give the orders of a line again; return how many there are."""
+    orders: dict[int, list[Decision]] = {}
+    for order in together["orders"]:
+        poses = order["poses"]
+        found = None if poses is None else GroundedSubTask.from_dict(poses)
+        decision = Decision(SubTask.from_dict(order), found)
+        orders.setdefault(order["asked"], []).append(decision)
+    for number in range(together["asked"]):
+        if rollout.is_over(strict=strict):
+            break
+        watch(rollout.episode, len(rollout.steps))
+        given = rollout.given(None)
+        rollout.carry_out(given, check(orders.get(number, []), given))
+    return len(rollout.steps)
 
 
 def decision_of(step: dict[str, Any]) -> Decision:

@@ -23,13 +23,11 @@ from lemma.env.view import View
 from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
 from lemma.evaluation.protocol.rules import REFUSAL_S
 from lemma.evaluation.records import POLICY_ERROR, PROTECTIVE_STOP, Feedback
-from lemma.evaluation.run.expert_feedback import advise, left_in
+from lemma.evaluation.run.expert_feedback import advise, left_in, refuse
 from lemma.evaluation.run.fault_isolation import Fault, IsolatedPolicy
 from lemma.evaluation.run.loading import load_policy
 from lemma.evaluation.run.watches import ClearanceWatch
-from lemma.motion.outcome import Outcome, SkillResult
-from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
-from lemma.planning.symbolic_state import SymbolicState
+from lemma.motion.outcome import SkillResult
 from lemma.policies.interfaces import (
     Decision,
     Effort,
@@ -47,7 +45,7 @@ from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
-_BLIND = View(
+BLIND = View(
     np.zeros((0, 0, 3), np.uint8),
     np.zeros((0, 0), np.float32),
     np.zeros((0, 0), np.bool_),
@@ -70,6 +68,10 @@ class TakenStep:
     """Judgement of the expert on it."""
     fell: tuple[str, ...] = ()
     """Names of the objects that fell off the table meanwhile."""
+
+    def told(self) -> dict[str, Any]:
+        """Return what its line says beside what every line does."""
+        return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +102,8 @@ class Verdict:
     """Digest of the simulator's whole state."""
     asked: int = 0
     """How many efforts of its policy were counted so far."""
+    together: dict[str, Any] | None = None
+    """What robots at work at the same time did so far; None where they take turns."""
 
 
 @dataclass
@@ -167,6 +171,19 @@ class Rollout:
     def _failure(self) -> str | None:
         return self.episode.failure if self.fault is None else POLICY_ERROR
 
+    def left(self) -> int | None:
+        """Return how many sub-tasks the expert needs; None if it has no plan."""
+        return left_in(self.episode)
+
+    def replans(self, decisions: range) -> int:
+        """Return how many decisions followed a sub-task that was not carried out.
+
+        Args:
+            decisions: Their numbers, from 0.
+        """
+        before = [self.steps[number - 1] for number in decisions if number > 0]
+        return sum(not step.result.ok for step in before)
+
     def verdict(self) -> Verdict:
         """Return how it stands, leniently."""
         info = self.episode.info()
@@ -182,7 +199,7 @@ class Rollout:
             idle_s=info["idle_s"],
             clearance_m=self.clearance.least_m,
             steps=len(self.steps),
-            left=left_in(self.episode),
+            left=self.left(),
             state_sha256=self.episode.simulation.scene.state_hash(),
             asked=len(self.efforts),
         )
@@ -200,7 +217,7 @@ class Rollout:
         Raises:
             RenderingError: OpenGL does not work here.
         """
-        view, scene = _BLIND, self.episode.simulation.scene
+        view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
         given = (self.instruction, self._phrases, view, tuple(self.past))
@@ -208,9 +225,17 @@ class Rollout:
             return OracleInput(*given, episode=self.episode)
         return PolicyInput(*given)
 
-    def told(self) -> dict[str, Any]:
-        """Return what its line says beside what every line does."""
+    def told(self, strict: Verdict) -> dict[str, Any]:
+        """Return what its line says beside what every line does.
+
+        Args:
+            strict: How it stood at its strict end.
+        """
         return {}
+
+    def stop(self) -> None:
+        """End the episode."""
+        self.episode.stop()
 
     def fail(self, fault: Fault) -> None:
         """End the episode for a fault of its policy."""
@@ -247,7 +272,7 @@ class Rollout:
         advice = advise(episode, decision)
         lost = episode.fallen
         if decision.grounded is None:
-            result = _refuse(episode, decision)
+            result = refuse(episode, decision)
         else:
             result = episode.execute(decision.grounded)
         fell = tuple(name for name in episode.fallen if name not in lost)
@@ -269,18 +294,6 @@ class Rollout:
             )
         )
         return step
-
-
-def _refuse(episode: Episode, decision: Decision) -> SkillResult:
-    """Return how a decision without poses ends: as at plan level, if it must fail."""
-    scene = episode.simulation.scene
-    found = ground_or_refuse(
-        decision.subtask, SymbolicState.observe(scene), GeometricGrounder(scene.spec)
-    )
-    if isinstance(found, SkillResult):
-        return found
-    why = decision.explanation or f"No pose was found for: {decision.subtask}."
-    return SkillResult(Outcome.INVALID, why, 0.0)
 
 
 @dataclass(frozen=True)
@@ -347,9 +360,11 @@ def roll_out(
             inputs = [player.given(one) for one in running]
             decisions = guard.decide(inputs)
             for one, given, decision in zip(running, inputs, decisions, strict=True):
-                step = one.carry_out(given, decision)
-                if step is not None and on_step is not None:
-                    on_step(one, step)
+                before = len(one.steps)
+                one.carry_out(given, decision)
+                if on_step is not None:
+                    for step in one.steps[before:]:
+                        on_step(one, step)
             yield from [one for one in running if one.is_over(strict=strict)]
             running = [one for one in running if not one.is_over(strict=strict)]
             running += islice(waiting, at_once - len(running))
@@ -375,6 +390,7 @@ def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
             "duration_s": round(step.result.duration_s, 3),
             "fell": list(step.fell),
             "expert": msgspec.to_builtins(step.advice),
+            **step.told(),
         }
         for step in steps
     ]

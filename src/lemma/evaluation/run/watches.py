@@ -54,6 +54,22 @@ class ClearanceWatch:
             )
 
 
+class ContactWatch:
+    """Watches for how long two arms touch, in every servo tick."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Go on whenever time passes."""
+        self._data, self._parts = simulation.scene.data, simulation.scene.parts
+        self.touched_s = 0.0
+        """Time in which any two arms touched [s]."""
+        simulation.observers.append(self._tick)
+
+    def _tick(self) -> None:
+        robots = self._parts[self._data.contact.geom, 0]
+        if ((robots[:, 0] != robots[:, 1]) & (robots.min(axis=1) >= 0)).any():
+            self.touched_s += TICK_S
+
+
 class _Arm:
     """The capsules of one arm, with room to place them."""
 

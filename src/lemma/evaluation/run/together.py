@@ -1,0 +1,317 @@
+"""Episodes in which several robots act at once: orders to those that are free.
+
+They are played by the same loop as those in turns, and yield the same verdicts. The
+policy is asked at every decision point of :class:`lemma.env.team.orders.Team`. The
+first order that its robot cannot carry out is the strict end; leniently it costs its
+robot alone some time. What was ordered stands in the line beside what came of it, so
+an episode can be executed again without its policy.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from lemma.core.errors import PhysicsError
+from lemma.env.camera_rig import CameraRig
+from lemma.env.episode import Episode
+from lemma.env.team.orders import Team
+from lemma.env.team.records import Done
+from lemma.env.view import View
+from lemma.evaluation.protocol.language_controls import OWN_SENTENCE, LanguageControl
+from lemma.evaluation.protocol.rules import REFUSAL_S
+from lemma.evaluation.protocol.schedules import (
+    executed_s,
+    schedule_score,
+    team_times,
+    worked_in,
+)
+from lemma.evaluation.records import PROTECTIVE_STOP, Feedback
+from lemma.evaluation.run.expert_feedback import advise, left_in, refuse
+from lemma.evaluation.run.fault_isolation import Fault
+from lemma.evaluation.run.rollout import (
+    BLIND,
+    Player,
+    Rollout,
+    TakenStep,
+    Verdict,
+    subtasks_of,
+)
+from lemma.evaluation.run.watches import ContactWatch
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.policies.interfaces import Decision, PastStep, is_oracle, wants_cameras
+from lemma.policies.together.adapters import WithExpertPoses
+from lemma.policies.together.each_asked import asks_robots
+from lemma.policies.together.interfaces import (
+    Doing,
+    Message,
+    Orders,
+    TeamInput,
+    TeamOracleInput,
+)
+from lemma.serve.faults import FaultKind
+from lemma.tasks.instance import Instance
+from lemma.tasks.subtask import GroundedSubTask, SubTask
+
+
+@dataclass(frozen=True, slots=True)
+class TeamStep(TakenStep):
+    """One order that has ended."""
+
+    waited_s: float = 0.0
+    """Time in which it waited for a sector [s]."""
+    effect_s: float | None = None
+    """When its effect was first seen [s]."""
+
+    def told(self) -> dict[str, Any]:
+        """Return what its line says beside what every line does."""
+        effect_s = None if self.effect_s is None else round(self.effect_s, 3)
+        return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s}
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """An order, as it was given."""
+
+    asked: int
+    subtask: SubTask
+    poses: GroundedSubTask | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Note:
+    """What is remembered of an order that is under way."""
+
+    subtask: SubTask
+    view: View
+    since_s: float
+    advice: Feedback
+    fallen: tuple[str, ...]
+    waited_s: float
+
+
+@dataclass(kw_only=True)
+class TeamRollout(Rollout):
+    """One episode in which orders are given to free robots."""
+
+    expert_poses: bool
+    """Whether the expert grounds the orders, when they begin."""
+    asked: int = 0
+    """How many answers were carried out; ``stop`` is none of them."""
+    orders: list[_Given] = field(default_factory=list)
+    messages: list[Message] = field(default_factory=list)
+    notes: dict[str, _Note] = field(default_factory=dict)
+    """Of orders under way, by robot, oldest first."""
+
+    def _begin(self) -> Episode:
+        episode = super()._begin()
+        self.team = Team(episode, refusal_s=REFUSAL_S)
+        self.contacts = ContactWatch(episode.simulation)
+        return episode
+
+    def given(self, rig: CameraRig | None, policy: object = None) -> TeamInput:
+        """Return what a policy is given now; see :meth:`Rollout.given`."""
+        scene, free = self.episode.simulation.scene, self.team.free
+        view, own = BLIND, dict[str, View]()
+        if asks_robots(policy):
+            own = dict.fromkeys(free, BLIND)
+        if rig is not None:
+            cameras = wants_cameras(policy)
+            for name in own:
+                own[name] = rig.capture(scene, cameras=cameras, robots=(name,))
+            view = view if own else rig.capture(scene, cameras=cameras)
+        waits = self.team.waits_for
+        given = (self.instruction, self._phrases, view, tuple(self.past))
+        told: dict[str, Any] = {
+            "time_s": self.episode.elapsed_s,
+            "free": free,
+            "doing": {
+                name: Doing(note.subtask, note.since_s, waits.get(name, ()))
+                for name, note in self.notes.items()
+            },
+            "messages": tuple(self.messages),
+            "own_views": own,
+        }
+        if is_oracle(policy):
+            return TeamOracleInput(*given, **told, episode=self.episode, team=self.team)
+        return TeamInput(*given, **told)
+
+    def carry_out(self, given: Any, decision: Any) -> None:
+        """Carry out an answer, or end the episode for a fault."""
+        if isinstance(decision, Fault):
+            self.fail(decision)
+            return
+        before = self.episode.snapshot(), self.team.state()
+        lists: tuple[list[Any], ...] = (self.steps, self.past, self.orders)
+        lengths, asked = [len(each) for each in lists], self.asked
+        try:
+            self.take(given, decision)
+        except PhysicsError as error:
+            # Judge the state before physics failed.
+            self.episode.restore(before[0])
+            self.team.restore(before[1])
+            for each, length in zip(lists, lengths, strict=True):
+                del each[length:]
+            self.asked = asked
+            self.fail(Fault(FaultKind.UNSTABLE, str(error)))
+
+    def take(self, given: Any, decision: Any) -> None:
+        """Give orders, and let time pass to the next decision.
+
+        Raises:
+            PhysicsError: It made the physics unstable.
+        """
+        orders: Orders = decision
+        self.efforts += [one.effort for one in orders.decisions if one.effort]
+        self.efforts += orders.efforts
+        self.messages += orders.messages
+        if any(one.stops for one in orders.decisions):
+            self.stop()
+            return
+        self.asked += 1
+        for one in orders.decisions:
+            self._order(given, one)
+        self._note(self.team.advance())
+
+    def _order(self, given: TeamInput, decision: Decision) -> None:
+        subtask, robot = decision.subtask, decision.subtask.robot
+        poses = None if self.expert_poses else decision.grounded
+        self.orders.append(_Given(self.asked - 1, subtask, poses))
+        self.notes[robot] = _Note(
+            subtask,
+            given.own_views.get(robot, given.view),
+            self.episode.elapsed_s,
+            advise(self.episode, decision, self._expected()),
+            self.episode.fallen,
+            self._waited_s(robot),
+        )
+        if poses is None and not self.expert_poses:
+            done = self.team.refuse(subtask, refuse(self.episode, decision))
+            self._note((done,))
+        else:
+            refused = self.team.order(subtask, poses)
+            self._note((refused,) if refused else ())
+
+    def _expected(self) -> SymbolicState:
+        """Return the state that all that is under way will leave behind."""
+        now = self.team.observe()
+        return self.team.expected(now, self.team.settled(now))
+
+    def _waited_s(self, robot: str) -> float:
+        times = self.episode.simulation.reservations.times
+        return times.waited_s.get(robot, 0.0)
+
+    def _note(self, ended: Sequence[Done]) -> None:
+        """Take note of orders that have ended."""
+        for done in ended:
+            note, result = self.notes.pop(done.robot), done.result
+            lost = self.episode.fallen
+            step = TeamStep(
+                note.subtask,
+                done.grounded,
+                result,
+                done.start_s,
+                note.advice,
+                tuple(name for name in lost if name not in note.fallen),
+                self._waited_s(done.robot) - note.waited_s,
+                done.effect_s,
+            )
+            why = "" if result.ok else result.explanation
+            self.steps.append(step)
+            self.past.append(
+                PastStep(note.view, note.subtask, str(result.outcome), why)
+            )
+        if self.protective_stop is None and any(d.result.refused for d in ended):
+            self.protective_stop = replace(
+                self.verdict(), success=False, failure=PROTECTIVE_STOP
+            )
+
+    def stop(self) -> None:
+        """Let those at work finish, and end the episode."""
+        self._note(self.team.stop())
+
+    def fail(self, fault: Fault) -> None:
+        """End the episode for a fault of its policy; those at work finish."""
+        self.fault = fault
+        self.efforts += [fault.effort] if fault.effort else []
+        if fault.kind is FaultKind.UNSTABLE:
+            self.episode.stop()
+        else:
+            self.stop()
+
+    def left(self) -> int | None:
+        """Return how many sub-tasks the expert needs after all that is under way."""
+        return left_in(self.episode, self._expected())
+
+    def replans(self, decisions: range) -> int:
+        """Return how many sub-tasks were not carried out; 0 where nothing was asked."""
+        return sum(not step.result.ok for step in self.steps) if decisions else 0
+
+    def verdict(self) -> Verdict:
+        """Return how it stands, leniently."""
+        return replace(super().verdict(), together=self._figures())
+
+    def _figures(self) -> dict[str, Any]:
+        names = self.instance.scene.robot_names
+        times = team_times(names, worked_in(subtasks_of(self.steps), len(names)))
+        waits = self.episode.simulation.reservations.times
+        shares = ("busy", "waiting", "thinking", "predecessor", "no_work")
+        return {
+            "makespan_s": round(times.makespan_s, 3),
+            "concurrency": round(times.concurrency, 4),
+            **{
+                f"{name}_s": {
+                    robot: round(seconds, 3)
+                    for robot, seconds in getattr(times, f"{name}_s").items()
+                }
+                for name in shares
+            },
+            "parallel_s": round(times.parallel_s, 3),
+            "retreats": waits.retreats,
+            "deadlocks": waits.deadlocks,
+            "contact_s": round(self.contacts.touched_s, 2),
+        }
+
+    def told(self, strict: Verdict) -> dict[str, Any]:
+        """Return what its line says beside what every line does."""
+        figures = dict(strict.together or {})
+        oracle_s, score = executed_s(self.instance), None
+        if oracle_s is not None:
+            makespan_s = figures["makespan_s"]
+            success = strict.success and makespan_s > 0.0
+            score = round(schedule_score(success, makespan_s, oracle_s), 4)
+        return {
+            "together": {
+                "expert_poses": self.expert_poses,
+                "asked": self.asked,
+                "orders": [
+                    {
+                        "asked": one.asked,
+                        **one.subtask.to_dict(),
+                        "poses": None if one.poses is None else one.poses.to_dict(),
+                    }
+                    for one in self.orders
+                ],
+                "messages": [
+                    {
+                        "robot": one.robot,
+                        "text": one.text,
+                        "time_s": round(one.time_s, 3),
+                    }
+                    for one in self.messages
+                ],
+                "oracle_s": oracle_s,
+                "schedule_score": score,
+                **figures,
+            }
+        }
+
+
+class TeamPlayer(Player):
+    """A policy that gives orders to a team, and what it sees with."""
+
+    def begin(
+        self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
+    ) -> Rollout:
+        """Set the table for an episode."""
+        poses = isinstance(self.policy, WithExpertPoses)
+        return TeamRollout(instance, kind, control=control, expert_poses=poses)

@@ -1,0 +1,1 @@
+"""Policies for several robots at work at the same time."""

@@ -1,0 +1,221 @@
+"""Adapters: sequential policies give orders to a team, one at a time or several."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from lemma.planning.grounding import GroundedOption, ground_or_refuse
+from lemma.planning.schedule import predecessors
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.policies.interfaces import (
+    Composite,
+    Decision,
+    Effort,
+    Grounder,
+    PastStep,
+    Planner,
+    Policy,
+    PolicyInput,
+    proposals,
+    told,
+)
+from lemma.policies.oracle import OracleGrounder
+from lemma.policies.together.interfaces import (
+    Orders,
+    TeamInput,
+    TeamOracleInput,
+    TeamPolicy,
+    orders_of,
+)
+from lemma.scene.objects.entity import SHARED, pair_regions
+
+
+@dataclass(frozen=True)
+class Symbols(Composite):
+    """A planner as a policy whose decisions have no poses yet."""
+
+    planner: Planner
+
+    def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the planner's decisions."""
+        return proposals(self.planner, inputs)
+
+
+@dataclass(frozen=True)
+class WithExpertPoses(Composite):
+    """A team policy whose orders the expert grounds, when they begin."""
+
+    policy: TeamPolicy
+    grounder: Grounder = OracleGrounder()  # noqa: RUF009 - it is frozen
+    """Says that the result knows the truth."""
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return the policy's orders, without poses of its own."""
+        answers = self.policy.act_together(_told(self.policy, inputs))
+        return [
+            replace(
+                orders,
+                decisions=tuple(
+                    replace(one, grounded=None) if isinstance(one, Decision) else one
+                    for one in orders.decisions
+                ),
+            )
+            for orders in map(orders_of, answers)
+        ]
+
+
+@dataclass(frozen=True)
+class WithGrounder(Composite):
+    """A team policy that decides in symbols, and a grounder that adds the poses."""
+
+    policy: TeamPolicy
+    grounder: Grounder
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return the policy's orders with poses."""
+        answers = self.policy.act_together(_told(self.policy, inputs))
+        return [
+            replace(orders, decisions=tuple(self._grounded(given, orders)))
+            for given, orders in zip(inputs, map(orders_of, answers), strict=True)
+        ]
+
+    def _grounded(self, given: TeamInput, orders: Orders) -> list[Decision]:
+        found = []
+        for decision in orders.decisions:
+            if isinstance(decision, Decision) and not decision.stops:
+                asked = told(self.grounder, [given])
+                (poses,) = self.grounder.ground(asked, [decision.subtask])
+                decision = replace(decision, grounded=poses)
+            found.append(decision)
+        return found
+
+
+@dataclass(frozen=True)
+class Turns(Composite):
+    """A sequential policy that orders one sub-task at a time.
+
+    It is asked when nobody is at work, and sees and does what it does in turns.
+    """
+
+    policy: Policy
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return one order where nobody is at work, else none."""
+        asked = [i for i, given in enumerate(inputs) if _is_quiet(given)]
+        found = [Orders() for _ in inputs]
+        if asked:
+            answers = self.policy.act(told(self.policy, [inputs[i] for i in asked]))
+            for i, decision in zip(asked, answers, strict=True):
+                found[i] = Orders((decision,))
+        return found
+
+
+@dataclass(frozen=True)
+class Greedy(Composite):
+    """A sequential policy that gives orders to free robots while it knows some.
+
+    It is asked for its next sub-task as if all that is under way had succeeded. Its
+    choice is ordered and it is asked again, while the choice is for a free robot, does
+    not repeat what is under way, and is valid: with poses of its own it must be about
+    no object that is under way, since those poses are of where things lie now; a
+    planner that knows the truth does not order what the expert could not ground. Where
+    nobody is at work, its choice is ordered whatever it is, as in turns, and ``stop``
+    counts there alone.
+    """
+
+    policy: Policy
+    symbolic: bool = False
+    """Whether the expert adds the poses, when an order begins."""
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """Its policy."""
+        return (self.policy,)
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return as many orders for free robots as the policy knows."""
+        drafts = [_Draft(given, self.symbolic) for given in inputs]
+        while asked := [draft for draft in drafts if draft.goes_on]:
+            given = told(self.policy, [draft.as_if_done() for draft in asked])
+            answers = self.policy.act(given)
+            for draft, decision in zip(asked, answers, strict=True):
+                draft.take(decision)
+        return [
+            Orders(tuple(draft.decisions), efforts=tuple(draft.efforts))
+            for draft in drafts
+        ]
+
+
+class _Draft:
+    """Orders for one team, while they are being made."""
+
+    def __init__(self, given: TeamInput, symbolic: bool) -> None:
+        self._given, self._symbolic = given, symbolic
+        self._regions = (SHARED, *pair_regions(len(given.robots)))
+        self._free = set(given.free)
+        self._state: SymbolicState | None = None
+        self.decisions: list[Decision] = []
+        self.efforts: list[Effort] = []
+        self.goes_on = bool(self._free)
+
+    def as_if_done(self) -> PolicyInput:
+        """Return the input after all that is under way, if it succeeds."""
+        steps = [doing.subtask for doing in self._given.doing.values()]
+        steps += [decision.subtask for decision in self.decisions]
+        past = tuple(PastStep(self._given.view, subtask) for subtask in steps)
+        return self._given.with_past((*self._given.past, *past))
+
+    def take(self, decision: Any) -> None:
+        """Order what was chosen, or ask no more."""
+        first = _is_quiet(self._given) and not self.decisions
+        if first or (isinstance(decision, Decision) and self._is_valid(decision)):
+            self.decisions.append(decision)
+            ordered = isinstance(decision, Decision) and not decision.stops
+            self._free -= {decision.subtask.robot} if ordered else self._free
+        else:
+            self._free.clear()
+            effort = getattr(decision, "effort", None)
+            self.efforts += [effort] if effort is not None else []
+        self.goes_on = bool(self._free)
+
+    def _is_valid(self, decision: Decision) -> bool:
+        subtask = decision.subtask
+        busy = [doing.subtask for doing in self._given.doing.values()]
+        busy += [one.subtask for one in self.decisions]
+        if decision.stops or decision.failed or subtask.robot not in self._free:
+            return False
+        if subtask in busy:
+            return False
+        if not self._symbolic:
+            needs = any(predecessors((one, subtask), self._regions)[1] for one in busy)
+            return decision.grounded is not None and not needs
+        return self._can_be_grounded(decision)
+
+    def _can_be_grounded(self, decision: Decision) -> bool:
+        """Whether the expert could, where that is known; keeps the effect in mind."""
+        given = self._given
+        if not isinstance(given, TeamOracleInput):
+            return True
+        team = given.team
+        if self._state is None:
+            now = team.observe()
+            self._state = team.expected(now, team.settled(now))
+            for one in self.decisions:
+                found = ground_or_refuse(one.subtask, self._state, team.grounder)
+                if isinstance(found, GroundedOption):
+                    self._state = found.after
+        found = ground_or_refuse(decision.subtask, self._state, team.grounder)
+        if not isinstance(found, GroundedOption):
+            return False
+        self._state = found.after
+        return True
+
+
+def _is_quiet(given: TeamInput) -> bool:
+    """Whether nobody is at work, and all can be."""
+    return len(given.free) == len(given.robots)
+
+
+def _told(policy: TeamPolicy, inputs: Sequence[TeamInput]) -> list[TeamInput]:
+    """Return inputs as a policy may see them."""
+    return [one for one in told(policy, inputs) if isinstance(one, TeamInput)]

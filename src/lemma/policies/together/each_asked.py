@@ -1,0 +1,96 @@
+"""A team whose robots decide alone: each is asked when it is free."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lemma.core.robot_names import robot_names
+from lemma.policies.interfaces import Composite, Decision
+from lemma.policies.together.interfaces import (
+    LONGEST_MESSAGE,
+    Choice,
+    Message,
+    Orders,
+    RobotInput,
+    RobotPolicy,
+    TeamInput,
+    decision_of,
+)
+
+
+@dataclass(frozen=True)
+class EachAsked(Composite):
+    """A team of robots that are asked one after another, each with its own view."""
+
+    policy: RobotPolicy
+
+    asks_robots = True
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return the orders that the free robots gave themselves, and messages.
+
+        Raises:
+            ValueError: A robot orders another one, or a message is none.
+        """
+        decisions: list[list[Decision]] = [[] for _ in inputs]
+        messages: list[list[Message]] = [[] for _ in inputs]
+        for name in robot_names(max(len(given.robots) for given in inputs)):
+            asked = [
+                i
+                for i, given in enumerate(inputs)
+                if name in given.free and not any(d.stops for d in decisions[i])
+            ]
+            if not asked:
+                continue
+            answers = self.policy.act_alone(
+                [_own(inputs[i], name, messages[i]) for i in asked]
+            )
+            for i, answer in zip(asked, answers, strict=True):
+                choice = answer if isinstance(answer, Choice) else Choice(answer)
+                if choice.order is not None:
+                    decisions[i].append(_checked(choice.order, name))
+                if choice.message:
+                    text = _text(choice.message)
+                    messages[i].append(Message(name, text, inputs[i].time_s))
+        return [
+            Orders(tuple(given), tuple(said))
+            for given, said in zip(decisions, messages, strict=True)
+        ]
+
+
+def asks_robots(policy: object) -> bool:
+    """Whether a policy needs the own view of each robot."""
+    parts = policy.parts if isinstance(policy, Composite) else ()
+    return getattr(policy, "asks_robots", False) is True or any(map(asks_robots, parts))
+
+
+def _own(given: TeamInput, robot: str, new: Sequence[Message]) -> RobotInput:
+    """Return what a robot knows."""
+    return RobotInput(
+        given.instruction,
+        given.robots,
+        given.own_views[robot],
+        tuple(step for step in given.past if step.subtask.robot == robot),
+        robot=robot,
+        time_s=given.time_s,
+        inbox=tuple(
+            message for message in (*given.messages, *new) if message.robot != robot
+        ),
+    )
+
+
+def _checked(order: Any, robot: str) -> Decision:
+    decision = decision_of(order)
+    told = getattr(getattr(decision, "subtask", None), "robot", robot)
+    if told not in (robot, ""):
+        raise ValueError(f"{robot} gave an order to {told}; each orders itself alone")
+    return decision
+
+
+def _text(message: object) -> str:
+    if not isinstance(message, str) or len(message) > LONGEST_MESSAGE:
+        raise ValueError(
+            f"a message is text of up to {LONGEST_MESSAGE} characters, not "
+            f"{message!r:.40}"
+        )
+    return message
