@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as arrays
 
 from lemma.core.poses import Pose2
 from lemma.policies.interfaces import Decision
-from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.arrays import VIEW_ARRAYS, Array, ViewMessage
+from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.messages import (
     Act,
     Decisions,

@@ -22,9 +22,9 @@ from lemma.expert.expert import Expert
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import TIMEOUT_S, Decision, PastStep, PolicyInput
 from lemma.scene.raster import RASTER
+from lemma.serve.arrays import VIEW_ARRAYS, ViewMessage
 from lemma.serve.conversation import Conversation, ProtocolMode, remote
 from lemma.serve.faults import FaultKind
-from lemma.serve.arrays import VIEW_ARRAYS, ViewMessage
 from lemma.serve.messages import (
     PROTOCOL,
     Decisions,

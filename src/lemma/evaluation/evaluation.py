@@ -119,16 +119,17 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     ways = {"acting": acting, "adapter": adapter}
     spec, engine = _policy(policy, level, planning, gta, workers, tasks, ways)
     _check_folder(out, spec)
+    asked = {"policy": spec, "tasks": tasks, "split": split or usual_split(tasks)}
+    asked |= {"kinds": kinds, "episodes": episodes, "verdicts": protocol}
+    return _evaluated(asked, engine, out)
+
+
+def _evaluated(
+    asked: dict[str, Any], engine: Engine, out: str | Path | None
+) -> Evaluation:
+    """Play, and keep a folder if there shall be one."""
     with temporary_folder() as nowhere:
-        config = EvaluationConfig(
-            out=Path(out or nowhere),
-            policy=spec,
-            tasks=tasks,
-            split=split or usual_split(tasks),
-            kinds=kinds,
-            episodes=episodes,
-            verdicts=protocol,
-        )
+        config = EvaluationConfig(out=Path(out or nowhere), **asked)
         rows = play(config, engine)
         result = summarise(rows, read_about(config.out), config.command())
         if out is not None:
