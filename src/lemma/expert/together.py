@@ -8,10 +8,10 @@ that those under way will leave behind.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from lemma.env.episode import Episode
-from lemma.env.team.orders import LOOK_S, Team
+from lemma.env.team.orders import LOOK_S, Done, Team
 from lemma.expert.expert import ExpertStep
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
@@ -62,34 +62,87 @@ def carry_out(
         steps: The plan, in an order in which it can be carried out one by one.
         grounder: Of the same scene.
     """
-    needs = predecessors(steps, tuple(episode.instance.scene.regions))
-    todo, done, failed = list(range(len(steps))), set[int](), False
-    team, numbers = Team(episode, grounder), dict[str, int]()
+    work = TeamWork(Team(episode, grounder), steps)
     while True:
-        now = team.observe()
-        settled = team.settled(now)
-        have = done | {numbers[robot] for robot in settled}
-        for robot in () if failed or episode.is_over else grounder.robots:
-            mine = (k for k in todo if steps[k].robot == robot)
-            k = next((k for k in mine if needs[k].keys() <= have), None)
-            if robot in team.orders or k is None or failed:
-                continue
-            expected = team.expected(now, settled)
-            option = grounder.ground(steps[k], expected)
-            if option is None:
-                failed = True
-                continue
-            todo.remove(k)
-            numbers[robot] = k
-            team.begin(option, expected)
-        if not team.orders:
+        work.begin_ready()
+        if not work.team.orders:
             return
         # Where somebody is free and has work, it may begin before another robot is.
-        waits = any(steps[k].robot not in team.orders for k in todo) and not failed
-        until_s = episode.simulation.time_s + LOOK_S if waits else math.inf
-        for ended in team.pass_time(until_s):
-            done.add(numbers[ended.robot])
-            failed |= not ended.result.ok
+        until_s = episode.simulation.time_s + LOOK_S if work.waits else math.inf
+        for ended in work.pass_time(until_s):
             assert ended.subtask is not None
             assert ended.grounded is not None
             yield ExpertStep(ended.subtask, ended.grounded, ended.result, ended.start_s)
+
+
+class TeamWork:
+    """A plan under way: each robot begins its next sub-task as soon as it can."""
+
+    def __init__(self, team: Team, steps: Sequence[SubTask]) -> None:
+        """Take over a team.
+
+        Args:
+            team: Its robots; those at work finish what they do.
+            steps: What shall be done after that, in an order in which it can be done
+                one by one.
+        """
+        self.team, self.failed = team, False
+        running = [(name, order.subtask) for name, order in team.orders.items()]
+        before = [subtask for _, subtask in running if subtask is not None]
+        self._steps = (*before, *steps)
+        regions = tuple(team.episode.instance.scene.regions)
+        self._needs = predecessors(self._steps, regions)
+        self._todo = list(range(len(before), len(self._steps)))
+        names = [name for name, subtask in running if subtask is not None]
+        self._numbers = {name: number for number, name in enumerate(names)}
+        self._done = set[int]()
+
+    @property
+    def todo(self) -> tuple[SubTask, ...]:
+        """Sub-tasks that have not begun, in the order of the plan."""
+        return tuple(self._steps[k] for k in self._todo)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a robot is free that has work left."""
+        free = (step.robot not in self.team.orders for step in self.todo)
+        return any(free) and not self.failed
+
+    def begin_ready(self, but: Collection[str] = ()) -> None:
+        """Let free robots begin that can; nobody once a sub-task has failed.
+
+        Args:
+            but: Robots that shall begin nothing.
+        """
+        team, episode = self.team, self.team.episode
+        now = team.observe()
+        settled = team.settled(now)
+        have = self._done | {
+            self._numbers[robot] for robot in settled if robot in self._numbers
+        }
+        for robot in () if self.failed or episode.is_over else team.grounder.robots:
+            mine = (k for k in self._todo if self._steps[k].robot == robot)
+            k = next((k for k in mine if self._needs[k].keys() <= have), None)
+            if robot in team.orders or robot in but or k is None or self.failed:
+                continue
+            expected = team.expected(now, settled)
+            option = team.grounder.ground(self._steps[k], expected)
+            if option is None:
+                self.failed = True
+                continue
+            self._todo.remove(k)
+            self._numbers[robot] = k
+            team.begin(option, expected)
+
+    def pass_time(self, until_s: float) -> list[Done]:
+        """Let time pass until a sub-task ends, or up to a time [s]; return what ended.
+
+        Args:
+            until_s: Simulated time [s].
+        """
+        ended = self.team.pass_time(until_s)
+        for one in ended:
+            number = self._numbers.pop(one.robot, None)
+            self._done |= set() if number is None else {number}
+            self.failed |= not one.result.ok
+        return ended
