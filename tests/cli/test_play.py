@@ -7,11 +7,12 @@ import pytest
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.policies.spec import ORACLE
 from lemma.viewer.episode.session import choices
+from lemma.viewer.episode.status import TOGETHER
 from lemma.viewer.episode.teleoperator import BY_HAND
 
 
 def test_expert_and_visitors_are_always_offered() -> None:
-    assert choices()[-2:] == (ORACLE, BY_HAND)
+    assert choices()[-3:] == (ORACLE, TOGETHER, BY_HAND)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""`lemma play`: a page in the browser with a table, two robots, and a sentence."""
+"""`lemma play`: a page in the browser with a table, robots, and a sentence."""
 
 import webbrowser
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def play(
     failures: Flag = False,
     at: Annotated[Listening, tyro.conf.arg(name="")] = _HERE,
 ) -> int:
-    """Open a page in the browser: say something, and watch two robots do it.
+    """Open a page in the browser: say something, and watch robots do it.
 
     Args:
         task: Task to begin with, hook_stack by default; with --failures a folder of
@@ -62,8 +62,10 @@ def play(
         split: Frozen list to take it from: train, val or test; or free, which samples
             it. By default test, and free for tasks of your own.
         instance: A JSON file with an instance of your own, to begin with.
-        policy: As in lemma evaluate. By default reachnet-refusals where torch is
-            installed, else the expert, which reads the benchmark's sentences alone.
+        policy: As in lemma evaluate; or 'oracle together', the expert with all robots
+            at once, the default for teams of three and four. For pairs it is
+            reachnet-refusals where torch is installed, else the expert, which reads the
+            benchmark's sentences alone.
         say: A sentence of your own, which is acted on at once.
         failures: List the failures in a folder of results, and play them beside the
             expert or another policy.
@@ -80,7 +82,7 @@ def play(
                 "--failures takes --policy, no instance and no sentence."
             )
         return _open(_failures(task, policy, at), at)
-    from lemma.viewer.episode.session import Session, choices
+    from lemma.viewer.episode.session import Session, best_for, choices
     from lemma.viewer.page import Page
     from lemma.viewer.server import open_server
 
@@ -93,7 +95,7 @@ def play(
     policies = choices(policy)
     split = split or default_split(task, "test")
     kind = "high_level" if say is None else OWN_WORDS
-    who = policy or policies[0]
+    who = policy or best_for(task, policies)
     request = EpisodeRequest(task, split, index or 0, kind, say or "", who, own)
     session = Session(request, policies, acts=say is not None)
     server = open_server(at.host, at.port, at.allow_host, _warn)

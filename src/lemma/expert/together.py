@@ -8,7 +8,7 @@ that those under way will leave behind.
 """
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from lemma.env.episode import Episode
 from lemma.env.team.orders import LOOK_S, Done, Team
@@ -78,15 +78,19 @@ def carry_out(
 class TeamWork:
     """A plan under way: each robot begins its next sub-task as soon as it can."""
 
-    def __init__(self, team: Team, steps: Sequence[SubTask]) -> None:
+    def __init__(
+        self, team: Team, steps: Sequence[SubTask], *, patient: bool = False
+    ) -> None:
         """Take over a team.
 
         Args:
             team: Its robots; those at work finish what they do.
             steps: What shall be done after that, in an order in which it can be done
                 one by one.
+            patient: Whether a sub-task that finds no poses is tried again while others
+                are at work; it may be about what lies below something else.
         """
-        self.team, self.failed = team, False
+        self.team, self.failed, self._patient = team, False, patient
         running = [(name, order.subtask) for name, order in team.orders.items()]
         before = [subtask for _, subtask in running if subtask is not None]
         self._steps = (*before, *steps)
@@ -108,31 +112,33 @@ class TeamWork:
         free = (step.robot not in self.team.orders for step in self.todo)
         return any(free) and not self.failed
 
-    def begin_ready(self, but: Collection[str] = ()) -> None:
+    def begin_ready(self, may: Callable[[SubTask], bool] = lambda _: True) -> None:
         """Let free robots begin that can; nobody once a sub-task has failed.
 
         Args:
-            but: Robots that shall begin nothing.
+            may: Whether a sub-task may begin.
         """
         team, episode = self.team, self.team.episode
-        now = team.observe()
+        now, lost = team.observe(), False
         settled = team.settled(now)
         have = self._done | {
             self._numbers[robot] for robot in settled if robot in self._numbers
         }
         for robot in () if self.failed or episode.is_over else team.grounder.robots:
-            mine = (k for k in self._todo if self._steps[k].robot == robot)
+            mine = [k for k in self._todo if self._steps[k].robot == robot]
+            mine = [k for k in mine if may(self._steps[k])]
             k = next((k for k in mine if self._needs[k].keys() <= have), None)
-            if robot in team.orders or robot in but or k is None or self.failed:
+            if robot in team.orders or k is None or self.failed:
                 continue
             expected = team.expected(now, settled)
             option = team.grounder.ground(self._steps[k], expected)
             if option is None:
-                self.failed = True
+                lost, self.failed = True, not self._patient
                 continue
             self._todo.remove(k)
             self._numbers[robot] = k
             team.begin(option, expected)
+        self.failed |= lost and not team.orders
 
     def pass_time(self, until_s: float) -> list[Done]:
         """Let time pass until a sub-task ends, or up to a time [s]; return what ended.

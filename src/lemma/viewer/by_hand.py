@@ -11,14 +11,17 @@ from lemma.core.poses import Pose2
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.rules import problems
+from lemma.tasks.subtask import SubTask
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.team_play import Options, TeamPlay
 from lemma.viewer.episode.teleoperator import Teleoperator
 from lemma.viewer.scene.dragging import Dragging
-from lemma.viewer.words import part
+from lemma.viewer.words import order_words, part, team_html
 
 LARGEST_FILE = 1_000_000
 """Bytes of a file that are read."""
+NOTHING_TO_ORDER = "nothing now"
 OPEN, CLOSE = GRIPS = ("Open", "Close")
 TARGET = "/teleoperation"
 """Name of the node with the handles of the hand."""
@@ -122,6 +125,87 @@ class DraggingPanel:
         self.dragging.allow(names)
 
 
+class OrderPanel:
+    """Widgets for orders to single robots; visible while all act at once."""
+
+    def __init__(self, server: viser.ViserServer, session: Session) -> None:
+        """Make the widgets.
+
+        Args:
+            server: The page.
+            session: Takes their commands.
+        """
+        self._session = session
+        self._asked: tuple[object, ...] = ()
+        self._options: Options | None = None
+        self._told = ""
+        self._play: TeamPlay | None = None
+        self._by_words: dict[str, SubTask] = {}
+        gui: Any = server.gui
+        with gui.add_folder("Orders", visible=False) as self.folder:
+            self.told = gui.add_html("")
+            self.robot = gui.add_dropdown("Robot", ("robot",))
+            hint = "It finishes what it does, and then does what you order alone."
+            self.take = gui.add_button("Take over", hint=hint)
+            hint = "Let the expert lead this robot again."
+            self.back = gui.add_button("Hand back", hint=hint, visible=False)
+            self.what = gui.add_dropdown("Order", (NOTHING_TO_ORDER,))
+            hint = "As soon as this robot is free, and what it needs is there."
+            self.give = gui.add_button("Give order", color="blue", hint=hint)
+        self.take.on_click(lambda _: self.lead(taken=True))
+        self.back.on_click(lambda _: self.lead(taken=False))
+        self.give.on_click(lambda _: self.order())
+
+    def _chosen(self, play: TeamPlay) -> str:
+        """Return the name of the chosen robot."""
+        assert play.instance is not None
+        names, options = play.instance.scene.robot_names, self.robot.options
+        found = self.robot.value in options and len(options) == len(names)
+        return names[options.index(self.robot.value) if found else 0]
+
+    def lead(self, *, taken: bool) -> None:
+        """Take the chosen robot, or give it back."""
+        play = self._session.play
+        if isinstance(play, TeamPlay) and play.takes_orders:
+            (play.take if taken else play.give_back)(self._chosen(play))
+
+    def order(self) -> None:
+        """Give the chosen order."""
+        play, subtask = self._session.play, self._by_words.get(self.what.value)
+        if isinstance(play, TeamPlay) and play.takes_orders and subtask is not None:
+            play.order(subtask)
+
+    def refresh(self, play: Play) -> None:
+        """Show what robots do, and what the chosen one could be ordered."""
+        here = isinstance(play, TeamPlay) and play.takes_orders
+        show_if(self.folder, here)
+        if not isinstance(play, TeamPlay) or not here or play.instance is None:
+            return
+        instance = play.instance
+        if play is not self._play:
+            self._play, self._asked, self._options = play, (), None
+            self.robot.options = robot_phrases(instance.scene.robots)
+        robot = self._chosen(play)
+        show_if(self.take, robot not in play.taken)
+        show_if(self.back, robot in play.taken)
+        told = team_html(play)
+        if told != self._told:
+            self._told = self.told.content = told
+        asked = robot, play.status.lines, play.todo
+        if asked != self._asked:
+            self._asked = asked
+            play.look_for_options(robot)
+        options = play.options
+        if options is not self._options and options and options.robot == robot:
+            self._options = options
+            self._by_words = {
+                order_words(subtask, instance): subtask for subtask in options.subtasks
+            }
+            words = tuple(self._by_words) or (NOTHING_TO_ORDER,)
+            if self.what.options != words:
+                self.what.options = words
+
+
 class TeleoperationPanel:
     """Widgets for leading hands; visible while an episode goes on."""
 
@@ -181,7 +265,9 @@ class TeleoperationPanel:
         """Show the handles at the target of the hand that is led, if any."""
         leads, goes_on = play.is_led, play.acts and not play.transport.over
         teleoperator = play.teleoperator
-        show_if(self.folder, goes_on or teleoperator is not None or play.was_led)
+        by_orders = isinstance(play, TeamPlay)
+        shown = goes_on or teleoperator is not None or play.was_led
+        show_if(self.folder, shown and not by_orders)
         show_if(self.take, play.can_be_taken_over)
         show_if(self.back, leads and play.can_hand_back)
         show_if(self.robot, leads)

@@ -12,21 +12,25 @@ from lemma.tasks.suite import FREE_SPLIT
 from lemma.tasks.task import TASKS
 from lemma.viewer.by_hand import (
     DraggingPanel,
+    OrderPanel,
     TeleoperationPanel,
     complaining,
     show_if,
 )
 from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.reading import Explanation
-from lemma.viewer.episode.session import Session
+from lemma.viewer.episode.session import Session, best_for
 from lemma.viewer.episode.status import (
+    KNOWING,
     LONGEST,
     OWN_WORDS,
     SAYINGS,
+    TOGETHER,
     EpisodeRequest,
     Phase,
     Status,
 )
+from lemma.viewer.episode.teleoperator import BY_HAND
 from lemma.viewer.episode.transport import SPEEDS
 from lemma.viewer.scene.pictures import MAP, NO_PICTURE, Pictures
 from lemma.viewer.scene.stage import OVERLAYS, Stage
@@ -37,7 +41,7 @@ from lemma.viewer.server import (
     prepare_panel,
     set_theme,
 )
-from lemma.viewer.words import part, reached_html, status_html, why_html
+from lemma.viewer.words import chart_html, part, reached_html, status_html, why_html
 
 PLAY, PAUSE, STEP, RESTART = MOVES = ("Play", "Pause", "Step", "Restart")
 """Buttons of an episode."""
@@ -73,12 +77,15 @@ class Panel:
         self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = self._reached = ""
+        self._charted: tuple[object, ...] = ()
         self._explanation: Explanation | None = None
         self._instance: Instance | None = None
         self._complaint = ""
         self._add_choices(session.play.request)
         self._add_transport()
+        self.orders = OrderPanel(server, session)
         self.teleoperation = TeleoperationPanel(server, session, self.complain)
+        self._add_subtasks()
         self.table = DraggingPanel(server, session, self.complain)
         self._add_overlays(set_overlay)
         self._add_details(session.play.request)
@@ -117,12 +124,17 @@ class Panel:
             moves = gui.add_button_group("", MOVES)
             speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1 ×")
             self.time = gui.add_slider("Time [s]", 0.0, 1.0, _SLIDER_S / 2, 0.0)
-            self.reached = gui.add_html("")
-            self.timeline = gui.add_html(part("timeline", (), 0.0))
-            self.why = gui.add_html("")
+            self.chart = gui.add_html("")
         moves.on_click(lambda event: self.move(event.target.value))
         speed.on_update(lambda _: self._session.set_speed(_SPEEDS[speed.value]))
         self.time.on_update(self.sought)
+
+    def _add_subtasks(self) -> None:
+        gui = self._gui
+        with gui.add_folder("Sub-tasks"):
+            self.reached = gui.add_html("")
+            self.timeline = gui.add_html(part("timeline", (), 0.0))
+            self.why = gui.add_html("")
 
     def _add_overlays(self, set_overlay: Callable[[str, bool], None]) -> None:
         gui, self.overlays = self._gui, {}
@@ -200,6 +212,9 @@ class Panel:
     def chosen(self, event: Any) -> None:
         """Set the table when a visitor has chosen another."""
         if event.client_id is not None:
+            best = best_for(self.task.value, self._session.policies)
+            if best == TOGETHER and self.policy.value not in (*KNOWING, BY_HAND):
+                self.policy.value = best
             self.set_table()
 
     def typed(self, event: Any) -> None:
@@ -219,6 +234,7 @@ class Panel:
         status, transport = play.status, play.transport
         self.table.refresh(play)
         self.teleoperation.refresh(play)
+        self.orders.refresh(play)
         instance = play.instance
         if instance is not None and instance != self._instance:
             self._show_instance(instance, play.request)
@@ -236,6 +252,10 @@ class Panel:
         timeline = part("timeline", status.lines, now_s)
         if timeline != self._timeline:
             self._timeline = self.timeline.content = timeline
+        charted = (play, status.lines, round(now_s, 1), round(end_s), transport.over)
+        if charted != self._charted:
+            self._charted = charted
+            self.chart.content = chart_html(play, now_s)
         reached = reached_html(play.reached(), over=transport.over)
         if reached != self._reached:
             self._reached = self.reached.content = reached
@@ -300,7 +320,7 @@ class Page:
                 self._shown = play
             self.panel.table.allow(instance)
             why = play.explanation()
-            self.stage.explain(why.insight, why.robot, why.waypoints)
+            self.stage.explain(why.insight, play.paths())
             self.pictures.want(self.panel.picture.value, instance, qpos)
         self.panel.refresh(play)
         self.updates += 1

@@ -4,18 +4,26 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+from markupsafe import Markup
+
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
-from lemma.tasks.subtask import Primitive
+from lemma.tasks.subtask import Primitive, SubTask
+from lemma.viewer.episode.play import Play
 from lemma.viewer.episode.reading import Explanation
 from lemma.viewer.episode.status import ENDS, Phase, Status, say_goal
+from lemma.viewer.episode.team_play import TeamPlay
+from lemma.viz.annotate import ROBOT_INK
+from lemma.viz.gantt import gantt_svg
 from lemma.viz.pages.templates import macro
 from lemma.viz.recording import describe_subtask, judged, reached_words
 
 part = partial(macro, "panel.html")
 """Returns a part of the panel, from the macro of that name."""
 _LEAST_SHARE = 0.01
+_AXIS_S, _AXIS_STEP_S = 20.0, 10.0
+"""Least length of the axis of a chart, and by how much it grows [s]."""
 
 
 def status_html(status: Status) -> str:
@@ -36,6 +44,69 @@ def reached_html(stages: Mapping[str, Any], *, over: bool) -> str:
         return ""
     verdicts = judged(stages) if over else {}
     return part("reached", stages["progress"], reached_words(stages), verdicts)
+
+
+def chart_html(play: Play, now_s: float) -> str:
+    """Return the Gantt chart of an episode up to now.
+
+    Args:
+        play: The episode.
+        now_s: Place of the cursor [s].
+    """
+    lines, watch, latest = play.status.lines, play.watch, play.transport.latest
+    instance = play.instance
+    if instance is None or watch is None or latest is None:
+        return ""
+    end_s, over = latest[0], play.transport.over
+    lines = tuple(
+        line if line.end_s is not None else line.watched(watch, end_s) for line in lines
+    )
+    if over:
+        # After the last sub-task robots stand still to be judged.
+        end_s = max((line.end_s or 0.0 for line in lines), default=end_s)
+    # An axis that grows in steps does not shrink all bars at all times.
+    axis_s = 0.0 if over else max(_AXIS_S, _AXIS_STEP_S * -(-end_s // _AXIS_STEP_S))
+    # A policy that takes turns says nothing of what will come.
+    todo = play.todo if isinstance(play, TeamPlay) else None
+    chart = gantt_svg(
+        instance,
+        lines,
+        end_s,
+        now_s=now_s,
+        axis_s=axis_s,
+        todo=() if over else todo,
+    )
+    return part("chart", Markup(chart)) if chart else ""
+
+
+def order_words(subtask: SubTask, instance: Instance) -> str:
+    """Return an order in words, without its robot: ``"move the red cube ..."``."""
+    return describe_subtask(subtask, instance).partition(": ")[2]
+
+
+def team_html(play: TeamPlay) -> str:
+    """Return what each robot of a team does now.
+
+    Args:
+        play: An episode in which all act at once.
+    """
+    instance = play.instance
+    if instance is None:
+        return ""
+    running = {
+        line.subtask.robot: line.subtask
+        for line in play.status.lines
+        if line.subtask is not None and line.end_s is None
+    }
+    scene, rows = instance.scene, []
+    for placed, name, said in zip(
+        scene.robots, scene.robot_names, robot_phrases(scene.robots), strict=True
+    ):
+        doing = running.get(name)
+        words = "free" if doing is None else order_words(doing, instance)
+        ink = "rgb({}, {}, {})".format(*ROBOT_INK[placed.color])
+        rows.append((ink, said, words, name in play.taken))
+    return part("team", rows)
 
 
 def why_html(explanation: Explanation, instance: Instance) -> str:

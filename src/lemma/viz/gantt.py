@@ -173,6 +173,7 @@ def gantt_svg(
     until_s: float,
     *,
     now_s: float | None = None,
+    axis_s: float = 0.0,
     todo: Sequence[SubTask] | None = (),
 ) -> str:
     """Return the chart; empty where no sub-task is known.
@@ -182,6 +183,7 @@ def gantt_svg(
         lines: What was done.
         until_s: As for :func:`spans_of` [s].
         now_s: Place of the cursor [s]; at the beginning if None.
+        axis_s: Length of the axis, if it is longer than that [s].
         todo: As for :func:`spans_of`.
     """
     if until_s <= 0.0 or not any(line.subtask for line in lines):
@@ -190,7 +192,7 @@ def gantt_svg(
     names, scene = instance.scene.robot_names, instance.scene
     phrases = [phrase.removesuffix(" robot") for phrase in robot_phrases(scene.robots)]
     inks = [_ink(robot.color) for robot in scene.robots]
-    scale = _Scale(until_s)
+    scale = _Scale(max(until_s, axis_s))
     labels, rows = [], []
     for number, (name, phrase) in enumerate(zip(names, phrases, strict=True)):
         y = _TOP_PX + number * _ROW_PX
@@ -209,7 +211,7 @@ def gantt_svg(
     inner = "".join((*_axis(scale, low), *rows, cursor))
     return (
         f'<svg class="gantt" width="100%" '
-        f'height="{high}" data-until="{until_s:.3f}" font-size="11" '
+        f'height="{high}" data-until="{scale.until_s:.3f}" font-size="11" '
         f'font-family="system-ui, sans-serif" fill="currentColor" role="img">'
         f"<title>Which robot did what, and when</title>"
         f'{"".join(labels)}<svg x="{_LABELS}%" width="{_PLOT}%" overflow="visible">'
@@ -294,12 +296,14 @@ def _axis(scale: _Scale, low: float) -> Iterator[str]:
         if seconds > scale.until_s:
             return
         at = scale.at(seconds)
-        unit = " s" if seconds + step > scale.until_s else ""
+        last = seconds + step > scale.until_s
+        # Pages cut off what stands out of the chart.
+        anchor = "end" if scale.share(seconds) > _NEAR_END else "middle"
         yield (
             f'<line x1="{at}" x2="{at}" y1="{_TOP_PX}" y2="{low}" '
             f'stroke="currentColor" stroke-opacity="0.15"/>'
-            f'<text x="{at}" y="{low + 11}" text-anchor="middle" '
-            f'fill-opacity="0.65">{seconds:g}{unit}</text>'
+            f'<text x="{at}" y="{low + 11}" text-anchor="{anchor}" '
+            f'fill-opacity="0.65">{seconds:g}{" s" if last else ""}</text>'
         )
 
 
@@ -331,11 +335,13 @@ _EDGE, _BAD = "#8a8f98", "#d64545"
 _LEAST_S = 1e-6
 """Shorter spans are not there [s]."""
 _TOP_PX, _ROW_PX, _BAR_PX, _GAP_PX, _AXIS_PX, _LEGEND_PX = 4, 22, 16, 6, 20, 16
-_LABELS, _PLOT = 17, 80
+_LABELS, _PLOT = 17, 82
 """Parts of the width for the names of robots, and for their rows [%]."""
 _LEAST_NUMBERED = 4.5
 """Part of the rows from which a bar has room for its number [%]."""
 _LEAST_EXPLAINED = 0.5
 """Part of the rows from which a gap can be seen, and its color is explained [%]."""
+_NEAR_END = 96.0
+"""Part of the rows from which the number of a time is not centered [%]."""
 _COLUMNS, _MOST_TICKS = 3, 6
 _STEPS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)

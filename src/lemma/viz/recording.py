@@ -18,7 +18,7 @@ from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
-from lemma.tasks.language.bank import robot_phrases, sub_instruction
+from lemma.tasks.language.bank import phrase, robot_phrases, sub_instruction
 from lemma.tasks.subtask import SubTask
 from lemma.viz.team_watch import TeamWatch
 
@@ -309,8 +309,21 @@ def describe_subtask(subtask: SubTask, instance: Instance) -> str:
     robot = robot_phrases(instance.scene.robots)[number]
     # A model that acts from end to end names no objects.
     if subtask.pick and subtask.place:
-        return sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
+        words = sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
+        return _name_region(words, subtask.place, instance)
     return f"{robot}: {subtask.primitive}"
+
+
+def _name_region(words: str, place: str, instance: Instance) -> str:
+    """Say whose region a place is by colors: people see no numbers of robots."""
+    scene = instance.scene
+    members = scene.regions.get(place, ())
+    # The region of a whole team has a name of its own.
+    if len(members) == len(scene.robots) or not members:
+        return words
+    phrases = robot_phrases(scene.robots)
+    names = [phrases[number].removesuffix(" robot") for number in members]
+    return words.replace(phrase(place), f"space of {' and '.join(names)}")
 
 
 def robot_titles(instance: Instance) -> dict[str, str]:
@@ -322,8 +335,8 @@ def robot_titles(instance: Instance) -> dict[str, str]:
     kinds = [(robot.color, robot.arm) for robot in scene.robots]
     phrases = robot_phrases(scene.robots)
     titles = {}
-    for name, kind, phrase in zip(scene.robot_names, kinds, phrases, strict=True):
+    for name, kind, said in zip(scene.robot_names, kinds, phrases, strict=True):
         color, arm = kind
-        words = color if kinds.count(kind) == 1 else phrase.removesuffix(" robot")
+        words = color if kinds.count(kind) == 1 else said.removesuffix(" robot")
         titles[name] = f"{words} {arm.upper()}"
     return titles

@@ -11,7 +11,7 @@ next one begins beside it.
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 from lemma.core.errors import InvalidConfigError, LemmaError
@@ -22,7 +22,6 @@ from lemma.evaluation.run.control import ControlPlayer
 from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.interfaces import Decision, Insight
-from lemma.policies.spec import ORACLE
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal
@@ -32,6 +31,7 @@ from lemma.viewer.episode.reading import (
     SILENT,
     Explanation,
     ObservedPolicy,
+    Paths,
     ask_reader,
     check_plan,
     explain,
@@ -39,8 +39,10 @@ from lemma.viewer.episode.reading import (
     weights_words,
 )
 from lemma.viewer.episode.status import (
+    KNOWING,
     OWN_WORDS,
     EpisodeRequest,
+    Moved,
     Phase,
     Reading,
     Status,
@@ -53,17 +55,7 @@ from lemma.viewer.episode.transport import (
     Transport,
 )
 from lemma.viz.recording import FRAME_S, Line, describe_step, describe_subtask
-
-Load = Callable[[str], Player]
-"""Returns a player by the name of its policy."""
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """The result of a visitor's wish to lay an object elsewhere."""
-
-    problem: str = ""
-    """Why it could not be moved; empty if it was."""
+from lemma.viz.team_watch import TeamWatch
 
 
 class Play:
@@ -72,7 +64,7 @@ class Play:
     def __init__(
         self,
         request: EpisodeRequest,
-        load: Load,
+        load: Callable[[str], Player],
         *,
         acts: bool,
         steps: bool = False,
@@ -82,7 +74,7 @@ class Play:
 
         Args:
             request: Table, sentence and policy.
-            load: Loads policies.
+            load: Loads policies by their names.
             acts: Whether to act; else the table is set, and no more.
             steps: Whether to pause after the first sub-task.
             speed: How many times real time it is played.
@@ -93,6 +85,8 @@ class Play:
         self.scene: Scene | None = None
         """Of the simulation: its model may be read, its data belong to the thread."""
         self.rollout: Rollout | None = None
+        self.watch: TeamWatch | None = None
+        """Of the simulation."""
         self.explanations: tuple[Explanation, ...] = ()
         """Why and how each sub-task was done, oldest first."""
         self.teleoperator: Teleoperator | None = None
@@ -258,7 +252,7 @@ class Play:
             self._goal_is_known = reading.acts
             if reading.acts and reading.pairs:
                 instance = replace(instance, goal=Goal.from_pairs(reading.pairs))
-            if self.acts and request.policy == ORACLE:
+            if self.acts and request.policy in KNOWING:
                 self._board.tell(reading=reading)
         rollout = Rollout(instance, kind, control=control)
         self._watch(rollout)
@@ -273,6 +267,7 @@ class Play:
             transport.record(simulation.scene.data.qpos, simulation.time_s)
 
         record()
+        self.watch = TeamWatch(simulation)
         simulation.observers.append(record)
         self.instance, self.scene = rollout.instance, simulation.scene
         self.rollout = rollout
@@ -333,7 +328,7 @@ class Play:
     def _read(self, rollout: Rollout, player: Player) -> bool:
         """Report the reading; return whether to act on it."""
         self._board.tell(Phase.READING)
-        reading, knows = self.status.reading, self.request.policy == ORACLE
+        reading, knows = self.status.reading, self.request.policy in KNOWING
         if reading is None and knows:
             reading = Reading(rollout.instance.goal.pairs)
         elif reading is None and isinstance(player, ControlPlayer):
@@ -373,7 +368,7 @@ class Play:
             self._board.tell(Phase.ACTING)
         else:
             words = describe_subtask(decision.subtask, self.rollout.instance)
-            self._board.begin(Phase.ACTING, words, now_s)
+            self._board.begin(Phase.ACTING, words, now_s, decision.subtask)
 
     def reached(self) -> Mapping[str, Any]:
         """Return how far it came, as in lines of results.
@@ -385,6 +380,11 @@ class Play:
             return {}
         return rollout.episode.stages.record()
 
+    def paths(self) -> Paths:
+        """Return the paths of hands in the sub-tasks at the cursor, by robot."""
+        why = self.explanation()
+        return ((why.robot, why.waypoints),) if why.waypoints else ()
+
     def explanation(self) -> Explanation:
         """Return why and how the sub-task at the cursor is done."""
         now_s = self.transport.cursor_s + FRAME_S
@@ -393,5 +393,8 @@ class Play:
 
     def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
         self._log.end()
-        self._board.replace_running(describe_step(step, rollout.instance))
-        self.transport.mark(rollout.episode.elapsed_s)
+        assert self.watch is not None
+        now_s = rollout.episode.elapsed_s
+        line = describe_step(step, rollout.instance).watched(self.watch, now_s)
+        self._board.replace_running(line)
+        self.transport.mark(now_s)

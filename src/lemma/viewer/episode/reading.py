@@ -38,6 +38,8 @@ from lemma.viz.recording import trained_words
 
 Waypoints = tuple[tuple[float, float, float], ...]
 """Points of the hand, oldest first [m]."""
+Paths = tuple[tuple[str, Waypoints], ...]
+"""Names of robots, and paths of their hands."""
 
 _DRAGS = (Primitive.HOOK, Primitive.POKE)
 _DENIES = re.compile(

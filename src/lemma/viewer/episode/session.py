@@ -17,15 +17,18 @@ from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.serve.websocket import is_address
 from lemma.tasks.instance import OWN_SPLIT, Instance
-from lemma.tasks.teams.layouts import gap_beyond
+from lemma.tasks.task import TASKS
+from lemma.tasks.teams.layouts import LAYOUTS, gap_beyond
 from lemma.viewer.episode.play import Play
-from lemma.viewer.episode.status import EpisodeRequest
+from lemma.viewer.episode.status import TOGETHER, EpisodeRequest
+from lemma.viewer.episode.team_play import TeamPlay
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
 """Time that a policy gets to stop [s]."""
 
 
+_PAIR = 2
 _LEARNED = (
     "reachnet-refusals",
     "reachnet",
@@ -63,7 +66,8 @@ class Session:
         self.play = self._begin(request, acts)
 
     def _begin(self, request: EpisodeRequest, acts: bool, steps: bool = False) -> Play:
-        return Play(request, self._player, acts=acts, steps=steps, speed=self._speed)
+        kind = TeamPlay if request.policy == TOGETHER else Play
+        return kind(request, self._player, acts=acts, steps=steps, speed=self._speed)
 
     def _player(self, name: str) -> Player:
         if name == BY_HAND:
@@ -179,6 +183,18 @@ class Session:
             self._loaded.clear()
 
 
+def best_for(task: str, policies: tuple[str, ...]) -> str:
+    """Return the name of the policy to begin a task with.
+
+    Args:
+        task: Name of the task.
+        policies: Those that can be loaded, the best one for two robots first.
+    """
+    # Learned policies were trained with two robots, which take turns.
+    is_large = LAYOUTS[TASKS[task].layout].size > _PAIR
+    return TOGETHER if is_large and TOGETHER in policies else policies[0]
+
+
 def choices(wanted: str | None = None) -> tuple[str, ...]:
     """Return names of policies that can be loaded here, the best one first.
 
@@ -194,7 +210,7 @@ def choices(wanted: str | None = None) -> tuple[str, ...]:
     """
     learned = _LEARNED if find_spec("torch") else ()
     here = [name for name in learned if all(map(are_here, name.split("+")))]
-    found = [*here, ORACLE, BY_HAND]
+    found = [*here, ORACLE, TOGETHER, BY_HAND]
     if wanted is not None and wanted not in found:
         weights_of(PolicySpec(wanted))
         found.append(wanted)

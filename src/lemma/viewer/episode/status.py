@@ -10,9 +10,14 @@ from lemma.policies.spec import ORACLE
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import say_pair
 from lemma.tasks.language.template import KINDS, GoalPairs
+from lemma.tasks.subtask import SubTask
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 from lemma.viz.recording import Line
 
+TOGETHER = "oracle together"
+"""Name of the expert with all robots at work at the same time."""
+KNOWING = ORACLE, TOGETHER
+"""Names of those that know the goal, and read the sentences of the benchmark alone."""
 OWN_WORDS = "your own words"
 SAYINGS = (*KINDS, OWN_WORDS)
 """Kinds of sentences: those of the instance, or any."""
@@ -115,6 +120,14 @@ def say_goal(pairs: GoalPairs) -> str:
     return " and ".join(say_pair(top, bottom) for top, bottom in pairs)
 
 
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """The result of a visitor's wish to lay an object elsewhere."""
+
+    problem: str = ""
+    """Why it could not be moved; empty if it was."""
+
+
 class StatusBoard:
     """Status of an episode; written by its thread, read by any."""
 
@@ -134,15 +147,19 @@ class StatusBoard:
             changes["phase"] = phase
         self.status = replace(self.status, **changes)
 
-    def begin(self, phase: Phase, words: str, start_s: float) -> None:
+    def begin(
+        self, phase: Phase, words: str, start_s: float, subtask: SubTask | None = None
+    ) -> None:
         """Add a line that runs.
 
         Args:
             phase: The new phase.
             words: The line.
             start_s: Simulated time [s].
+            subtask: None where it is none.
         """
-        self.tell(phase, lines=(*self.status.lines, Line(words, start_s)))
+        line = Line(words, start_s, subtask=subtask)
+        self.tell(phase, lines=(*self.status.lines, line))
 
     def end(self, end_s: float, outcome: str) -> None:
         """End the line that runs, if one does.
@@ -161,6 +178,18 @@ class StatusBoard:
     def replace_running(self, line: Line) -> None:
         """Put a line that has ended in the place of the one that runs."""
         self.tell(lines=(*self._done, line))
+
+    def replace_robots(self, line: Line) -> None:
+        """Put a line that has ended in the place of the running one of its robot."""
+        robot = line.subtask.robot if line.subtask else ""
+        self.tell(
+            lines=tuple(
+                line
+                if old.end_s is None and old.subtask and old.subtask.robot == robot
+                else old
+                for old in self.status.lines
+            )
+        )
 
     @property
     def _done(self) -> tuple[Line, ...]:

@@ -51,6 +51,7 @@ class Transport:
         self._frames: list[FloatArray] = []
         self._marks: list[float] = []
         self._changes: list[Callable[[], None]] = []
+        self._questions: list[Callable[[], None]] = []
         self._until: float | None = None
         self._abandoned = self._interrupted = False
 
@@ -149,7 +150,12 @@ class Transport:
             self.latest = time_s, qpos.copy()
             if time_s > len(self._frames) * FRAME_S - 1e-6:
                 self._frames.append(qpos.copy())
-        while changes := self._wait(time_s):
+        while due := self._wait(time_s):
+            questions, changes = due
+            for answer in questions:
+                answer()
+            if not changes:
+                continue
             with self.changing:
                 for change in changes:
                     change()
@@ -162,21 +168,23 @@ class Transport:
             self._interrupted = False
             raise InterruptedEpisodeError
 
-    def _wait(self, time_s: float) -> list[Callable[[], None]]:
-        """Wait until the simulation may go on, or return the changes that are due."""
+    def _wait(self, time_s: float) -> tuple[list[Callable[[], None]], ...]:
+        """Wait until the simulation may go on; or return questions and changes."""
         with self._changed:
             self._changed.wait_for(
                 lambda: (
                     self._abandoned
                     or self._changes
+                    or self._questions
                     or self._interrupted
                     or time_s <= self.cursor_s + self.lead_s
                 )
             )
             if self._abandoned:
                 raise AbandonedError
+            questions, self._questions = self._questions, []
             changes, self._changes = self._changes, []
-            return changes
+            return (questions, changes) if questions or changes else ()
 
     def change(self, make: Callable[[], None]) -> None:
         """Change the state by hand, in the simulation's thread, at its next record.
@@ -187,6 +195,18 @@ class Transport:
         with self._changed:
             self._until, self.playing = None, False
             self._changes.append(make)
+            self._changed.notify_all()
+
+    def ask(self, answer: Callable[[], None]) -> None:
+        """Ask for something in the simulation's thread, at its next record.
+
+        It also answers in a pause, and goes on as it was.
+
+        Args:
+            answer: Called between two steps of physics, whose state it must not change.
+        """
+        with self._changed:
+            self._questions.append(answer)
             self._changed.notify_all()
 
     def interrupt(self) -> None:

@@ -21,13 +21,14 @@ from lemma.viewer.scene.viewpoint import Viewpoint
 from lemma.viz.annotate import ROBOT_INK
 
 Point = tuple[float, float, float]
+Paths = Sequence[tuple[str, Sequence[Point]]]
 
 OVERLAYS = {
     "names": "Robots and objects, as sentences call them.",
     "reach": "Where a robot surely works (solid), and could touch at most (dashed).",
     "contacts": "Where things touch.",
     "perceived": "Things as the policy saw them, their part in the goal, and reach.",
-    "path": "The path of the hand in this sub-task.",
+    "path": "The path of each hand in its sub-task.",
 }
 """Overlays and their hints."""
 _BESIDE_M = 0.6
@@ -64,7 +65,7 @@ class Stage:
         self._qpos: FloatArray | None = None
         self._scene: Scene | None = None
         self._contacts: Any = None
-        self._explanation: tuple[Insight | None, Sequence[Point]] = (None, ())
+        self._explanation: tuple[Insight | None, Paths] = (None, ())
         self.viewpoint = Viewpoint(server, 1.0)
 
     def set_scene(self, scene: Scene, instance: Instance) -> bool:
@@ -153,29 +154,27 @@ class Stage:
             thickness_units="screen",
         )
 
-    def explain(
-        self, insight: Insight | None, robot: str, waypoints: Sequence[Point]
-    ) -> None:
-        """Show the policy's reasons and the path of the hand, where there are any.
+    def explain(self, insight: Insight | None, paths: Paths) -> None:
+        """Show the policy's reasons and the paths of hands, where there are any.
 
         Args:
             insight: Of the policy.
-            robot: Name of the robot whose hand it is.
-            waypoints: Points on it [m].
+            paths: Names of robots, and points on the paths of their hands [m].
         """
         instance = self.instance
-        if instance is None or (insight, waypoints) == self._explanation:
+        if instance is None or (insight, paths) == self._explanation:
             return
-        self._explanation = insight, waypoints
+        self._explanation = insight, paths
         with self._server.atomic():
             self._clear("perceived")
             self._clear("path")
             if insight is not None:
                 self._keep("perceived", self._draw_perceived(instance, insight))
-            if waypoints:
+            nodes = []
+            for robot, waypoints in paths:
                 placed = instance.scene.robots[robot_number(robot)]
-                nodes = self._draw_path(waypoints, ROBOT_INK[placed.color])
-                self._keep("path", nodes)
+                nodes += self._draw_path(robot, waypoints, ROBOT_INK[placed.color])
+            self._keep("path", nodes)
 
     def _draw_perceived(self, instance: Instance, insight: Insight) -> list[Any]:
         """Mark each thing that was seen, its part in the goal, and each reach."""
@@ -205,19 +204,19 @@ class Stage:
         return nodes
 
     def _draw_path(
-        self, points: Sequence[Point], rgb: tuple[int, int, int]
+        self, robot: str, points: Sequence[Point], rgb: tuple[int, int, int]
     ) -> list[Any]:
         """Draw the path of a hand, from where it is to where it ends [m]."""
         at = np.asarray(points, np.float32)
         lines = self._server.scene.add_line_segments(
-            "/path/lines",
+            f"/path/{robot}/lines",
             np.stack([at[:-1], at[1:]], 1),
             rgb,
             thickness=4.0,
             thickness_units="screen",
         )
         ends = self._server.scene.add_point_cloud(
-            "/path/points", at[1:], rgb, point_size=0.02, point_shape="circle"
+            f"/path/{robot}/points", at[1:], rgb, point_size=0.02, point_shape="circle"
         )
         return [lines, ends]
 
