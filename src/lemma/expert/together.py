@@ -11,7 +11,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 
 from lemma.env.episode import Episode
-from lemma.env.team.orders import LOOK_S, Done, Team
+from lemma.env.team.orders import LOOK_S, Team
+from lemma.env.team.records import Done
 from lemma.expert.expert import ExpertStep
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan

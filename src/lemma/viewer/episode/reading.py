@@ -7,7 +7,7 @@ from typing import Any
 
 from lemma.core.errors import LemmaError
 from lemma.env.simulation import Simulation
-from lemma.evaluation.run.fault_isolation import Fault, check
+from lemma.evaluation.run.fault_isolation import check
 from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.motion.skills import DRAG_HEIGHT_M, stand_at
@@ -273,7 +273,7 @@ class ObservedPolicy(Composite):
         if isinstance(answers, list | tuple) and answers:
             decision, insight = check(answers[0], inputs[0]), None
             # The rollout turns nonsense into a fault.
-            if not isinstance(decision, Fault):
+            if isinstance(decision, Decision | Actions):
                 explainer = find_part(self.policy, Explainer)
                 if explainer is not None:
                     insight = explainer.explain(told(explainer, inputs[:1]))[0]

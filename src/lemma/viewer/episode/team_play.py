@@ -11,14 +11,14 @@ from typing import Any
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.env.team.orders import LOOK_S, Done, Order, Team
+from lemma.env.team.orders import LOOK_S, Team
+from lemma.env.team.records import Done, Order
+from lemma.env.team.valid_orders import valid_options
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.expert.together import TeamWork
 from lemma.motion.outcome import SkillResult
-from lemma.planning.geometry import GroundedOption
 from lemma.planning.grounding import ground_or_refuse
 from lemma.planning.planner import find_plan
-from lemma.planning.primitives import PRIMITIVES
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision
 from lemma.tasks.subtask import Primitive, SubTask
@@ -28,8 +28,8 @@ from lemma.viewer.episode.status import Phase
 from lemma.viz.recording import FRAME_S, describe_subtask, line_of
 
 _MOST_PLANS = 4
-_NO_ORDERS = Primitive.STOP, Primitive.REACH, Primitive.LIFT
-"""The last two leave an arm over the table, in the way of others."""
+_NOT_ORDERED = Primitive.REACH, Primitive.LIFT
+"""They leave an arm over the table, in the way of others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,19 +128,10 @@ class TeamPlay(Play):
                 return
             state, _ = self._foresee(team)
             ends = (*state.poses, *state.spec.regions)
-            asked = (
-                SubTask(robot, primitive, pick, place)
-                for primitive in map(Primitive, PRIMITIVES)
-                if primitive not in _NO_ORDERS
-                for pick in state.poses
-                for place in ends
-            )
             found = (
-                subtask
-                for subtask in asked
-                if isinstance(
-                    ground_or_refuse(subtask, state, team.grounder), GroundedOption
-                )
+                option.subtask
+                for option in valid_options(robot, state, team.grounder)
+                if option.subtask.primitive not in _NOT_ORDERED
             )
             # The expert's own next order comes first, then places, then cubes.
             places = {*ends} - {*team.episode.simulation.scene.movable_names}
