@@ -16,12 +16,12 @@ from lemma.env.control.guarded_arm import (
     CORNERS,
     DECELERATION_M_S2,
     RANGE_M,
+    SELF_MARGIN_M,
 )
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control.safety_filter import keep_clear
 from lemma.env.control.velocity_dampers import (
     _IN_HAND_M,
-    _SELF_MARGIN_M,
     _SLACK_M_S,
     _SWEEPS,
     _TOUCH_M_S,
@@ -135,10 +135,10 @@ class Plain:
             self.soft(point, point - down, point[2] - half)
         for outer, inner in SELF_PAIRS:
             links = (link[inner], link[outer])
-            self.pair(links, world[outer], world[inner], _SELF_MARGIN_M)
+            self.pair(links, world[outer], world[inner], SELF_MARGIN_M)
         for corner, inner in itertools.product(range(CAPSULES, len(world)), range(3)):
             links = (link[inner], 6)
-            self.pair(links, world[corner], world[inner], _SELF_MARGIN_M)
+            self.pair(links, world[corner], world[inner], SELF_MARGIN_M)
         for i, other in itertools.product(range(1, CAPSULES), self.others):
             gap, a, b = closest_points(world[i], other)
             self.add((0, link[i]), np.array(a), np.array(b), 0.5 * gap)

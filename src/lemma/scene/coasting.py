@@ -11,6 +11,7 @@ the kind leads from it to a robot, the table or the floor.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,12 @@ class Coasting:
         self._held = np.zeros(len(free), np.bool_)
         self._resting = np.zeros(len(free), np.bool_)
         self._awake = 0
+        # Bound once: to collect the arguments takes as long as to pass them.
+        self._rest = partial(
+            _rest,
+            *(self._qvel, self.qvel_at, self._qpos, self.qpos_at, self.mass_at),
+            *(self.left_m, self.since_s),
+        )
         self.is_thrown = False
         """Whether an object has been thrown."""
         for name in self.names:
@@ -136,25 +143,17 @@ class Coasting:
 
     def look(self) -> None:
         """Look at the present state. Call it once a servo tick."""
-        now = self._data.time
-        if _settle(
-            self._awake,
-            self._qvel,
-            self.qvel_at,
-            self._qpos,
-            self.qpos_at,
-            self.mass_at,
-            self.left_m,
-            self.since_s,
-            now,
-        ):
-            self._awake = max(0, self._awake - 1)
-            if not self._awake:
+        now, awake = self._data.time, self._awake
+        if awake <= 1:
+            if self._rest(now):
+                self._awake = 0
                 return
-        else:
-            asleep, self._awake = not self._awake, _REST_TICKS
-            if asleep:
+            self._awake = _REST_TICKS
+            if not awake:
                 self.note()
+        else:
+            slow = _are_slow(self._qvel, self.qvel_at)
+            self._awake = awake - 1 if slow else _REST_TICKS
         self.is_thrown |= _follow(
             self._qpos,
             self.qpos_at,
@@ -214,8 +213,17 @@ def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, floa
 
 
 @kernel
-def _settle(  # noqa: PLR0913
-    awake: int,
+def _are_slow(qvel: FloatArray, qvel_at: NDArray[np.int64]) -> bool:
+    """Whether all objects are slow."""
+    for at in qvel_at:
+        x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
+        if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
+            return False
+    return True
+
+
+@kernel
+def _rest(  # noqa: PLR0913
     qvel: FloatArray,
     qvel_at: NDArray[np.int64],
     qpos: FloatArray,
@@ -225,15 +233,12 @@ def _settle(  # noqa: PLR0913
     since_s: FloatArray,
     now: float,
 ) -> bool:
-    """Return whether all objects are slow; after long enough, take it as their rest."""
-    for at in qvel_at:
-        x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
-        if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
-            return False
-    if awake <= 1:
-        for k in range(len(qpos_at)):
-            left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
-            since_s[k] = now
+    """Take where objects are as where they rest, if all are slow; return that."""
+    if not _are_slow(qvel, qvel_at):
+        return False
+    for k in range(len(qpos_at)):
+        left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
+        since_s[k] = now
     return True
 
 

@@ -34,8 +34,10 @@ CAPSULES = 10
 """Capsules of one arm, see :class:`~lemma.robots.collision_model.Envelope`."""
 CORNERS = 8
 """Number of corners of the fingers, wide open, and of the palm."""
-INNER_LINKS = 4
-"""Links, from the base on, that outer parts of the same arm may come near."""
+INNER = (0, 1, 2, 4)
+"""Parts, from the base on, that outer parts of the same arm may come near."""
+SELF_MARGIN_M = 0.007
+"""How much thicker the housings are than the capsules that stand for them."""
 ROW = 12
 """Numbers of a capsule in the world: both ends and the radius; the range in which an
 obstacle is felt, or the height of an object's top; and middle and radius of a ball
@@ -59,6 +61,7 @@ ARM = np.dtype(
         # a bound of how far a joint speed of norm 1 moves them.
         ("parts", np.float64, (_PARTS, 9)),
         ("levers", np.float64, _PARTS),
+        ("radii", np.float64, _PARTS),
         ("speeds", np.float64, 6),
         ("range", np.float64, 6),
         ("efforts", np.float64, 6),
@@ -81,8 +84,10 @@ ARM = np.dtype(
         ("world", np.float64, (_PARTS, 12)),
         ("ends", np.float64, (6, _PARTS)),
         ("part_twists", np.float64, (6, _PARTS)),
-        # Gaps at which parts can still stop, seen from the inner links.
-        ("gaps", np.float64, (INNER_LINKS, _PARTS)),
+        # Gaps at which parts can still stop, seen from the table.
+        ("gaps", np.float64, _PARTS),
+        # Inner parts that an outer part may come too fast near: sums of 2 ** number.
+        ("own", np.float64, _PARTS),
     ]
 )
 
@@ -95,7 +100,7 @@ def arm_records(arms: Sequence[ArmMotion]) -> NDArray[np.void]:
         row["dh"] = spec.dh
         row["world_from_base"] = robot.world_from_base
         row["parts"] = _parts(spec)
-        row["levers"] = row["parts"][:, 8]
+        row["levers"], row["radii"] = row["parts"][:, 8], row["parts"][:, 6]
         row["speeds"] = SPEED_FRACTION * np.array(spec.velocity_limits)
         row["range"] = spec.joint_range
         row["efforts"] = spec.effort_limits
@@ -181,31 +186,86 @@ def enclose(row: FloatArray) -> None:
 def measure_gaps(arm: np.record, expected: float) -> None:
     """Write the gaps from which on parts can be stopped in time, to ``arm.gaps``.
 
-    A part and what it approaches come nearer no faster than the part moves, seen from a
-    link, if joint speeds change by no more than a norm of ``expected`` [rad/s]; see
+    A part and what it approaches come nearer no faster than the part moves, if joint
+    speeds change by no more than a norm of ``expected`` [rad/s]; see
     :data:`DECELERATION_M_S2`.
     """
     ends, twists, levers, gaps = arm.ends, arm.part_twists, arm.levers, arm.gaps
-    for link in range(gaps.shape[0]):
-        u = arm.twists[link]
+    # Column by column, so that the compiler takes several parts at once.
+    for i in range(gaps.shape[0]):
+        wx, wy, wz = twists[0, i], twists[1, i], twists[2, i]
+        tx, ty, tz = twists[3, i], twists[4, i], twists[5, i]
+        x, y, z = ends[0, i], ends[1, i], ends[2, i]
+        vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+        vz = tz + wx * y - wy * x
+        first = vx * vx + vy * vy + vz * vz
+        x, y, z = ends[3, i], ends[4, i], ends[5, i]
+        vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
+        vz = tz + wx * y - wy * x
+        second = vx * vx + vy * vy + vz * vz
+        # Between the ends of a rigid body nothing is faster than at both.
+        fastest = math.sqrt(first if first > second else second)
+        pace = fastest + levers[i] * expected
+        gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
+        gaps[i] = (gap if gap < RANGE_M else RANGE_M) + ROUNDING
+
+
+@kernel
+def find_own(arm: np.record, expected: float) -> None:
+    """Write to ``arm.own`` which parts of the arm may come too fast near which others.
+
+    This is the whole computation of a constraint, :func:`.segment_points` included, but
+    without branches: the compiler takes several parts at once, and most are not too
+    fast. The bounds are wider than rounding errors are.
+
+    Args:
+        arm: The arm, its parts placed and moving.
+        expected: See :func:`measure_gaps`.
+    """
+    ends, twists, levers, radii = arm.ends, arm.part_twists, arm.levers, arm.radii
+    own = arm.own
+    own[:] = 0.0
+    for inner in INNER:
+        u, bit = arm.twists[int(arm.parts[inner, 7])], float(1 << inner)
         u0, u1, u2, u3, u4, u5 = u[0], u[1], u[2], u[3], u[4], u[5]
-        # Column by column, so that the compiler takes several parts at once.
-        for i in range(gaps.shape[1]):
+        px, py, pz = ends[0, inner], ends[1, inner], ends[2, inner]
+        bx, by, bz = ends[3, inner] - px, ends[4, inner] - py, ends[5, inner] - pz
+        bb, thick = bx * bx + by * by + bz * bz, radii[inner] + SELF_MARGIN_M
+        point = bb <= 1e-12
+        # Sixteen parts: four times as many as the compiler takes at once.
+        for k in range(own.shape[0] - 2):
+            i = k + 2
+            qx, qy, qz = ends[0, i], ends[1, i], ends[2, i]
+            ax, ay, az = ends[3, i] - qx, ends[4, i] - qy, ends[5, i] - qz
+            rx, ry, rz = qx - px, qy - py, qz - pz
+            aa, ab = ax * ax + ay * ay + az * az, ax * bx + ay * by + az * bz
+            ar, br = ax * rx + ay * ry + az * rz, bx * rx + by * ry + bz * rz
+            denominator, length = aa * bb - ab * ab, aa if aa > 1e-12 else 1.0
+            s = (ab * br - ar * bb) / denominator
+            s = s if s > 0.0 else 0.0
+            s = s if s < 1.0 else 1.0
+            s = s if denominator > 1e-12 * aa * bb else 0.0
+            t = (ab * s + br) / bb
+            end = ((ab - ar) if t > 1.0 else -ar) / length
+            end = end if end > 0.0 else 0.0
+            end = end if end < 1.0 else 1.0
+            s = end if t < 0.0 or t > 1.0 else s
+            t = t if t > 0.0 else 0.0
+            t = t if t < 1.0 else 1.0
+            x, y, z = qx + s * ax, qy + s * ay, qz + s * az
+            dx, dy, dz = px + t * bx - x, py + t * by - y, pz + t * bz - z
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
             wx, wy, wz = twists[0, i] - u0, twists[1, i] - u1, twists[2, i] - u2
-            tx, ty, tz = twists[3, i] - u3, twists[4, i] - u4, twists[5, i] - u5
-            x, y, z = ends[0, i], ends[1, i], ends[2, i]
-            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
-            vz = tz + wx * y - wy * x
-            first = vx * vx + vy * vy + vz * vz
-            x, y, z = ends[3, i], ends[4, i], ends[5, i]
-            vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
-            vz = tz + wx * y - wy * x
-            second = vx * vx + vy * vy + vz * vz
-            # Between the ends of a rigid body nothing is faster than at both.
-            fastest = math.sqrt(first if first > second else second)
-            pace = fastest + levers[i] * expected
-            gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
-            gaps[link, i] = (gap if gap < RANGE_M else RANGE_M) + ROUNDING
+            vx = twists[3, i] - u3 + wy * z - wz * y
+            vy = twists[4, i] - u4 + wz * x - wx * z
+            vz = twists[5, i] - u5 + wx * y - wy * x
+            pace = dx * vx + dy * vy + dz * vz
+            pace += (levers[i] * expected + 2.0 * ROUNDING) * distance + ROUNDING
+            gap = distance - thick - radii[i] - ROUNDING
+            room = gap - CLEARANCE_M
+            limit = math.sqrt(2.0 * DECELERATION_M_S2 * (room if room > 0.0 else 0.0))
+            near = gap <= RANGE_M and pace >= limit * distance
+            own[i] += bit if near or point else 0.0
 
 
 @kernel

@@ -24,6 +24,8 @@ from lemma.env.control.guarded_arm import (
     DECELERATION_M_S2,
     RANGE_M,
     ROUNDING,
+    SELF_MARGIN_M,
+    find_own,
     is_clear,
     measure_gaps,
     place_and_move,
@@ -45,8 +47,6 @@ _TOUCH_M_S = 0.25
 """How fast a hand may touch an object, and put one down."""
 _IN_HAND_M = 0.10
 """An object nearer to the tool centre point than this is being handled."""
-_SELF_MARGIN_M = 0.007
-"""How much thicker the housings are than the capsules that stand for them."""
 # Parts of an arm that may come near each other.
 _OWN_PAIRS = np.concatenate(
     [
@@ -104,12 +104,13 @@ def restrain(
     most = most_rows(obstacles.shape[0], objects.shape[0] + held.shape[0])
     memory, wanted = np.empty((most, 7)), rates.copy()
     rows = borrowed(memory)
-    count = _constrain(arm, obstacles, objects, held, EXPECTED_RAD_S, rows)
-    changed, most_changed = _project(rows, count, rates, arm.speeds)
-    if most_changed > EXPECTED_RAD_S:
+    changed = False
+    for expected in (EXPECTED_RAD_S, _ANY_RAD_S):
         rates[:] = wanted
-        count = _constrain(arm, obstacles, objects, held, _ANY_RAD_S, rows)
-        changed, _ = _project(rows, count, rates, arm.speeds)
+        count = _constrain(arm, obstacles, objects, held, expected, rows)
+        changed, most_changed = _project(rows, count, rates, arm.speeds)
+        if most_changed <= expected:
+            break
     # Numba frees what it does not see in use any more: the rows are borrowed.
     return changed and memory.size > 0
 
@@ -125,6 +126,7 @@ def _constrain(
 ) -> int:
     """Write all constraints that can matter; return how many."""
     measure_gaps(arm, expected)
+    find_own(arm, expected)
     count = _add_table_rows(arm, expected, rows)
     count = _add_hand_rows(arm, objects, held, expected, rows, count)
     count = _add_self_rows(arm, expected, rows, count)
@@ -137,7 +139,7 @@ def _add_table_rows(arm: np.record, expected: float, rows: FloatArray) -> int:
     """Keep the links clear of the table."""
     count = 0
     for i in range(_FIRST_ABOVE_TABLE, _LAST_ABOVE_TABLE + 1):
-        safe, part = arm.gaps[0, i], arm.world[i]
+        safe, part = arm.gaps[i], arm.world[i]
         for end in range(2):
             x, y, z = part[3 * end], part[3 * end + 1], part[3 * end + 2]
             gap = z - part[6]
@@ -158,7 +160,7 @@ def _add_hand_rows(
 ) -> int:
     """Let the hand touch objects gently, and put down gently what it holds."""
     for k in range(CAPSULES, CAPSULES + CORNERS):
-        safe, corner = arm.gaps[0, k], arm.world[k]
+        safe, corner = arm.gaps[k], arm.world[k]
         x, y, z = corner[0], corner[1], corner[2]
         if z <= safe:
             found = z, (x, y, z), (x, y, z - 1.0)
@@ -187,11 +189,10 @@ def _add_self_rows(
     """Keep the arm clear of itself."""
     for k in range(_OWN_PAIRS.shape[0]):
         outer, inner = _OWN_PAIRS[k, 0], _OWN_PAIRS[k, 1]
-        link = int(arm.parts[inner, 7])
-        safe = arm.gaps[link, outer] + _SELF_MARGIN_M
-        if not is_clear(arm.world, outer, arm.world, inner, safe):
+        if int(arm.own[outer]) >> inner & 1:
+            link = int(arm.parts[inner, 7])
             gap, near, far = closest_points(arm.world[outer], arm.world[inner])
-            found = gap - _SELF_MARGIN_M, near, far
+            found = gap - SELF_MARGIN_M, near, far
             count = _add_row(arm, (link, outer), found, 0.0, expected, rows, count)
     return count
 
@@ -207,7 +208,7 @@ def _add_arm_rows(
     """Keep the arm clear of the others."""
     for i in range(1, CAPSULES):
         # Both may move: each may use half of the distance.
-        safe = 2.0 * arm.gaps[0, i]
+        safe = 2.0 * arm.gaps[i]
         for j in range(obstacles.shape[0]):
             if not is_clear(arm.world, i, obstacles, j, safe):
                 gap, near, far = closest_points(arm.world[i], obstacles[j])
@@ -227,7 +228,7 @@ def _add_object_rows(
     for m in range(objects.shape[0]):
         is_beside = False
         for i in range(_FIRST_ABOVE_TABLE, _FIRST_OF_HAND):
-            if is_clear(arm.world, i, objects, m, arm.gaps[0, i]):
+            if is_clear(arm.world, i, objects, m, arm.gaps[i]):
                 continue
             thing = objects[m]
             if not is_beside and closest_points(tcp, thing)[0] + thing[6] < _IN_HAND_M:
