@@ -134,9 +134,11 @@ def evaluate(
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
+    from lemma.evaluation.analysis.team_scores import team_scores
     from lemma.evaluation.protocol.rules import NAME, departures
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.tables import rates
+    from lemma.evaluation.report.team_table import team_table
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)
@@ -147,10 +149,14 @@ def evaluate(
     result = summarise(rows, read_about(out), config.command())
     result.write(out / SUMMARY)
     complain_of(rows)
+    teams = team_scores(rows)
     if as_json:
-        print_json(_rates(result.cells, config.kinds))
+        told = {"teams": [asdict(each) for each in teams]} if teams else {}
+        print_json(_rates(result.cells, config.kinds) | told)
     else:
         output().print(rates(result.cells).terminal())
+        if teams:
+            output().print(team_table(teams).terminal())
         for line in effort_lines(result):
             output().print(line)
     return 0

@@ -10,8 +10,10 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.files import temporary_folder
 from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
+from lemma.evaluation.analysis.team_scores import team_scores
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates
+from lemma.evaluation.report.team_table import team_table
 from lemma.evaluation.run.config import (
     VERDICTS,
     EvaluationConfig,
@@ -57,8 +59,13 @@ class Evaluation:
         )
 
     def __str__(self) -> str:
-        """Return success rates [%] by task and kind of instruction, in Markdown."""
+        """Return success rates [%] by task and kind of instruction, in Markdown.
+
+        Where robots act together, what they do with their time as well.
+        """
         told = rates(self.result.cells).markdown()
+        teams = team_scores(self.rows)
+        told += f"\n{team_table(teams).markdown()}" if teams else ""
         if self.errors:
             told += (
                 f"\n{len(self.errors)} of {len(self.rows)} episodes failed because the "
