@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GroundedOption, ground_or_refuse
 from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
@@ -115,12 +116,12 @@ class Greedy(Composite):
     """A sequential policy that gives orders to free robots while it knows some.
 
     It is asked for its next sub-task as if all that is under way had succeeded. Its
-    choice is ordered and it is asked again, while the choice is for a free robot, does
-    not repeat what is under way, and is valid: with poses of its own it must be about
-    no object that is under way, since those poses are of where things lie now; a
-    planner that knows the truth does not order what the expert could not ground. Where
-    nobody is at work, its choice is ordered whatever it is, as in turns, and ``stop``
-    counts there alone.
+    choice is ordered and it is asked again, while the choice is for a free robot,
+    repeats nothing that is under way or was done, and is valid: with poses of its own
+    it must be about no object that is under way, since those poses are of where things
+    lie now; a planner that knows the truth does not order what the expert could not
+    ground. Where nobody is at work, its choice is ordered whatever it is, as in turns,
+    and ``stop`` counts there alone.
     """
 
     policy: Policy
@@ -184,7 +185,9 @@ class _Draft:
         busy += [one.subtask for one in self.decisions]
         if decision.stops or decision.failed or subtask.robot not in self._free:
             return False
-        if subtask in busy:
+        past = self._given.past
+        done = [one.subtask for one in past if one.outcome == Outcome.SUCCESS]
+        if subtask in busy or subtask in done:
             return False
         if not self._symbolic:
             needs = any(predecessors((one, subtask), self._regions)[1] for one in busy)
