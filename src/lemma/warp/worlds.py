@@ -171,6 +171,8 @@ class Worlds:
             self._graph = capture.graph
             wp.synchronize()
             torch.cuda.synchronize()
+            # That step was of worlds that were not set up yet.
+            self._overflow.zero_()
 
     def _simulate(self) -> None:
         if self._graph is None:
