@@ -2,7 +2,8 @@
 
     .venv/bin/python scripts/make_pictures.py docs/images [NAME ...]
 
-Each shows the expert in the middle of a frozen test instance; the README's moves.
+Each shows the expert in the middle of a frozen test instance; the README's moves, with
+four arms at once.
 """
 
 import sys
@@ -18,7 +19,7 @@ from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import load_instance
 from lemma.viz.camera_fit import outline, overview
-from lemma.viz.recording import pose, record
+from lemma.viz.recording import pose, record, record_together
 from lemma.viz.video import caption
 
 
@@ -60,9 +61,23 @@ class Loop:
     caption_px: int = 76
     quality: int = 70
     """Of the compression, up to 100."""
+    together: bool = False
+    """Whether all robots act at once."""
 
 
-LOOPS = {"hero": Loop("hook_stack", index=42)}
+LOOPS = {
+    "hero": Loop(
+        "carousel",
+        index=3,
+        speed=4,
+        azimuth_deg=90.0,
+        elevation_deg=-38.0,
+        size=(960, 456),
+        caption_px=96,
+        quality=52,
+        together=True,
+    )
+}
 MOMENTS = {
     "task_pass": Moment("pass", index=28, step=1, share=0.6),
     "task_pass2": Moment("pass2", index=27, step=2, share=0.55),
@@ -92,7 +107,9 @@ def main(folder: Path, names: Sequence[str] = ()) -> None:
 def film(loop: Loop, path: Path) -> None:
     """Write an episode as an animated WebP."""
     frame_s = loop.speed / loop.frames_per_s
-    recording = record(load_instance(loop.task, "test", loop.index), frame_s=frame_s)
+    instance = load_instance(loop.task, "test", loop.index)
+    play = record_together if loop.together else record
+    recording = play(instance, frame_s=frame_s)
     scene = Scene(recording.instance.scene)
     width, height = loop.size
     points = []

@@ -11,6 +11,7 @@ from PIL import Image
 
 from lemma.env.episode import STILL_S
 from lemma.tasks.suite import load_instance
+from lemma.viz.annotate import ROBOT_INK
 from lemma.viz.pages.demo import Illustration, write_page
 from lemma.viz.pages.templates import jpeg
 from lemma.viz.recording import Recording, record
@@ -63,6 +64,29 @@ def test_caption_follows_the_episode(recording: Recording) -> None:
     for strip, share in ((first, 0.1 / recording.elapsed_s), (end, 1.0)):
         bar = (strip[-1] == strip[-1, 0]).all(axis=-1).mean()
         assert bar == pytest.approx(share, abs=0.01)
+
+
+def test_caption_has_a_row_for_each_of_several_robots_at_work(
+    recording: Recording,
+) -> None:
+    first, second = recording.lines
+    assert first.subtask
+    assert second.subtask
+    at_once = replace(second, start_s=0.0, end_s=0.5 * recording.elapsed_s)
+    held = 0.0, 0.25 * recording.elapsed_s
+    both = replace(recording, lines=(replace(first, waits=(held,)), at_once))
+    strip = np.asarray(caption(both, recording.elapsed_s, (704, 72), ended=True))
+    robots = recording.instance.scene
+    rows = [strip[-8 + 4 * number] for number in range(2)]
+    colors = dict(zip(robots.robot_names, robots.robots, strict=True))
+    for line in both.lines:
+        assert line.subtask
+        assert line.end_s
+        row = rows[robots.robot_names.index(line.subtask.robot)]
+        ink = np.array(ROBOT_INK[colors[line.subtask.robot].color])
+        share = (row == ink).all(axis=-1).mean()
+        works_s = line.end_s - (held[1] if line.waits else 0.0)
+        assert share == pytest.approx(works_s / recording.elapsed_s, abs=0.02)
 
 
 def test_caption_of_an_episode_in_which_nothing_was_done(recording: Recording) -> None:

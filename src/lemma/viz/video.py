@@ -10,12 +10,14 @@ from lemma.core.files import write_whole
 from lemma.scene.rendering.gl_context import Tessellation
 from lemma.scene.rendering.renderer import QUALITIES, Quality, Renderer
 from lemma.scene.scene import Scene
-from lemma.viz.annotate import BAD, GOOD, Color, fitting_size, font, wrap
+from lemma.viz.annotate import BAD, GOOD, ROBOT_INK, Color, fitting_size, font, wrap
 from lemma.viz.camera_fit import outline, overview
 from lemma.viz.recording import Recording, main_sentence, pose
 
 _INK: Color = (246, 247, 249)
 _FAINT: Color = (160, 170, 182)
+_WAITS: Color = (139, 79, 198)
+"""Of a robot that waits for a region, as in charts."""
 _GROUND: Color = (24, 28, 34)
 _VIEWED_FRAMES = 40
 """Frames that the viewpoint is fitted to; the arms move little in between."""
@@ -138,6 +140,12 @@ def caption(
     width, height = size
     strip = Image.new("RGB", size, _GROUND)
     draw = ImageDraw.Draw(strip)
+    whole_s = max(recording.elapsed_s, time_s, 1e-9)
+    if _at_work(recording, None) > 1:
+        height -= _draw_rows(draw, recording, time_s, whole_s, size)
+    else:
+        bar = max(2, height // 18)
+        draw.rectangle((0, height - bar, time_s / whole_s * width, height), fill=GOOD)
     edge = round(0.22 * height)
     instruction = f"“{main_sentence(recording.instance)}”"
     room, least = width - 2 * edge, 0.16 * height
@@ -155,10 +163,48 @@ def caption(
     beside = width - 3 * edge - small.getlength(clock)
     small = font(fitting_size(text, 0.21 * height, beside))
     draw.text((edge, low), text, fill=ink, font=small, anchor="lm")
-    share = time_s / max(recording.elapsed_s, time_s, 1e-9)
-    bar = max(2, height // 18)
-    draw.rectangle((0, height - bar, share * width, height), fill=GOOD)
     return strip
+
+
+def _draw_rows(
+    draw: ImageDraw.ImageDraw,
+    recording: Recording,
+    time_s: float,
+    whole_s: float,
+    size: tuple[int, int],
+) -> int:
+    """Draw what each robot has done so far, a row for each; return their height."""
+    scene, (width, height) = recording.instance.scene, size
+    row = max(2, height // 20)
+    rows = len(scene.robots) * (row + 1)
+    for number, (name, placed) in enumerate(
+        zip(scene.robot_names, scene.robots, strict=True)
+    ):
+        top = height - rows + number * (row + 1)
+        for line in recording.lines:
+            if line.subtask is None or line.subtask.robot != name:
+                continue
+            end_s = min(time_s, whole_s if line.end_s is None else line.end_s)
+            spans = [(line.start_s, end_s, ROBOT_INK[placed.color])]
+            spans += [(a, min(b, end_s), _WAITS) for a, b in line.waits]
+            for since_s, until_s, ink in spans:
+                left, right = (width * s / whole_s for s in (since_s, until_s))
+                if right > left + 2:
+                    draw.rectangle((left, top, right - 2, top + row - 1), fill=ink)
+    return rows
+
+
+def _at_work(recording: Recording, time_s: float | None) -> int:
+    """Return how many robots are in sub-tasks at a time; the most of all if None."""
+    lines = [line for line in recording.lines if line.subtask is not None]
+    if time_s is None:
+        starts = (line.start_s for line in lines)
+        return max((_at_work(recording, start_s) for start_s in starts), default=0)
+    whole_s = recording.elapsed_s
+    return sum(
+        line.start_s <= time_s < (whole_s if line.end_s is None else line.end_s)
+        for line in lines
+    )
 
 
 def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Color]:
@@ -170,6 +216,11 @@ def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Colo
         return f"Not solved: {recording.failure}.", BAD
     if not lines:
         return "", _FAINT
+    if _at_work(recording, None) > 1:
+        over = sum(line.end_s is not None and line.end_s <= time_s for line in lines)
+        robots = _at_work(recording, time_s)
+        many = "1 robot at work" if robots == 1 else f"{robots} robots at work"
+        return f"{over} of {len(lines)} sub-tasks done   {many}", _FAINT
     # The one that began last.
     number = max(sum(line.start_s <= time_s for line in lines), 1)
     return f"{number}/{len(lines)}   {lines[number - 1].words}", _FAINT
