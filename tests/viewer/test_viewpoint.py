@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lemma.viewer.scene.viewpoint import Viewpoint, eye_for
+from lemma.tasks.suite import load_instance
+from lemma.viewer.scene.viewpoint import Viewpoint, eye_for, half_height_for
 
 HALF_M = 3.0
 NARROW = (812, 660)
@@ -87,3 +88,23 @@ def test_a_visitor_who_returns_is_placed_anew(server: Server, view: Viewpoint) -
     view.step_back()
     # As wide as without the panel, which docks later.
     assert np.array_equal(camera.position, eye_for((812 - 390) / 660, HALF_M))
+
+
+@pytest.mark.parametrize("task", ["stack", "line", "carousel", "tower"])
+def test_all_robots_and_objects_of_a_table_are_in_view(task: str) -> None:
+    for index in range(20):
+        instance = load_instance(task, "test", index)
+        server: Any = Server()
+        wide = 2.0
+        Viewpoint(server, 1.0, wide, half_height_for(instance))
+        camera = server.initial_camera
+        ahead = camera.look_at - camera.position
+        ahead = ahead / np.linalg.norm(ahead)
+        up = np.cross(np.cross(ahead, (0.0, 0.0, 1.0)), ahead)
+        up = up / np.linalg.norm(up)
+        scene = instance.scene
+        placed = [*(r.base for r in scene.robots), *(o.pose for o in scene.objects)]
+        for pose in placed:
+            seen = np.array([*pose.xy, 0.0]) - camera.position
+            high = abs(seen @ up) / (seen @ ahead)
+            assert high < np.tan(camera.fov / 2.0)

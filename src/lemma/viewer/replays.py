@@ -26,7 +26,7 @@ from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.scene.scene import Scene
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
-from lemma.viewer.scene.viewpoint import Viewpoint
+from lemma.viewer.scene.viewpoint import Viewpoint, half_height_for
 from lemma.viewer.server import close_server, open_server
 from lemma.viz.gantt import gantt_of
 from lemma.viz.pages.templates import fill, macro, script_text
@@ -358,7 +358,12 @@ def serialize(sides: Sequence[Recording]) -> bytes:
                     bodies.show(side.at(time_s))
 
         show(0.0)
-        Viewpoint(server, max(bases) + _BESIDE_M - first_m, _ASPECTS[len(sides) > 1])
+        Viewpoint(
+            server,
+            max(bases) + _BESIDE_M - first_m,
+            _ASPECTS[len(sides) > 1],
+            half_height_for(*(side.instance for side in sides)),
+        )
         serializer = server.get_scene_serializer()
         before_s = 0.0
         for time_s in sorted({time_s for side in sides for time_s, _ in side.frames}):

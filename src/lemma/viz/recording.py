@@ -310,12 +310,18 @@ def describe_subtask(subtask: SubTask, instance: Instance) -> str:
     # A model that acts from end to end names no objects.
     if subtask.pick and subtask.place:
         words = sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
-        return _name_region(words, subtask.place, instance)
+        return name_region(words, subtask.place, instance)
     return f"{robot}: {subtask.primitive}"
 
 
-def _name_region(words: str, place: str, instance: Instance) -> str:
-    """Say whose region a place is by colors: people see no numbers of robots."""
+def name_region(words: str, place: str, instance: Instance) -> str:
+    """Say whose region a place is by colors: people see no numbers of robots.
+
+    Args:
+        words: A sub-task in words.
+        place: Where it goes; other places stay as they are.
+        instance: Of the robots.
+    """
     scene = instance.scene
     members = scene.regions.get(place, ())
     # The region of a whole team has a name of its own.

@@ -26,6 +26,7 @@ from lemma.viz.recording import (
     describe_step,
     describe_subtask,
     line_of,
+    name_region,
     robot_titles,
 )
 from lemma.viz.team_watch import TeamWatch
@@ -180,7 +181,7 @@ def replay_line(
         case.instance,
         tuple(
             Line(
-                subtask_words(case, step),
+                name_region(subtask_words(case, step), step["place"], case.instance),
                 float(step["start_s"]),
                 float(step["start_s"] + step["duration_s"]),
                 step["outcome"],

@@ -17,7 +17,7 @@ from lemma.scene.scene import Scene
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.instance import Instance
 from lemma.viewer.scene.bodies import Bodies, light_room, name_bodies
-from lemma.viewer.scene.viewpoint import Viewpoint
+from lemma.viewer.scene.viewpoint import Viewpoint, half_height_for
 from lemma.viz.annotate import ROBOT_INK
 
 Point = tuple[float, float, float]
@@ -105,7 +105,7 @@ class Stage:
         wide_m += [
             abs(o.pose.x) / (1.0 + _NEARER * o.pose.y) for o in instance.scene.objects
         ]
-        self.viewpoint.widen(max(wide_m))
+        self.viewpoint.widen(max(wide_m), half_height_for(instance))
         return True
 
     def _draw_reach(self, instance: Instance) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from lemma.core.poses import FloatArray
+from lemma.tasks.instance import Instance
 from lemma.viewer.server import PHONE_PANEL
 
 _TARGET_M = np.array([0.0, -0.05, 0.05])
@@ -21,15 +22,36 @@ _MUCH_M = 0.5
 _SAME_M = 1e-3
 
 
-_Place = tuple[float, FloatArray, FloatArray]
-"""Half the width in view, the eye of a visitor's camera, and its target [m]."""
+_Place = tuple[tuple[float, float], FloatArray, FloatArray]
+"""Half the width and height in view, the eye of a visitor's camera, and its target
+[m]."""
+_ARM_M, _EDGE = 0.8, 0.94
+"""Height of an arm at rest [m], and the part of a picture that is no edge."""
+
+
+def half_height_for(*instances: Instance) -> float:
+    """Return half the height of a view that has all robots and objects in it [m].
+
+    Args:
+        instances: Of one table, or of several beside each other.
+    """
+    scenes = [instance.scene for instance in instances]
+    points = [(r.base.x, r.base.y, _ARM_M) for scene in scenes for r in scene.robots]
+    points += [(o.pose.x, o.pose.y, 0.0) for scene in scenes for o in scene.objects]
+    slope, seen = math.tan(_FOV_RAD / 2.0), np.array(points) - _TARGET_M
+    aside, nearer = np.abs(seen @ _UP), seen @ _FROM
+    return max(_HALF_HEIGHT_M, float((aside / _EDGE + slope * nearer).max()))
 
 
 class Viewpoint:
     """Cameras of all visitors of a page, placed anew for each width of the scene."""
 
     def __init__(
-        self, server: viser.ViserServer, half_width_m: float, aspect: float = 1.5
+        self,
+        server: viser.ViserServer,
+        half_width_m: float,
+        aspect: float = 1.5,
+        half_height_m: float = _HALF_HEIGHT_M,
     ) -> None:
         """Choose the place of visitors who come later.
 
@@ -37,22 +59,25 @@ class Viewpoint:
             server: The page.
             half_width_m: Half the width that is in view at least [m].
             aspect: Width of a window, in heights, before it is known.
+            half_height_m: Half the height that is in view at least [m].
         """
         self._server, self._aspect = server, aspect
         self._places: dict[int, _Place] = {}
         server.initial_camera.look_at = _TARGET_M
         server.initial_camera.fov = _FOV_RAD
-        self._set(half_width_m)
+        self._set(half_width_m, half_height_m)
 
-    def _set(self, half_width_m: float) -> None:
-        self.half_width_m = half_width_m
-        self._start = eye_for(self._aspect, half_width_m)
+    def _set(self, half_width_m: float, half_height_m: float) -> None:
+        self._view = half_width_m, half_height_m
+        self._start = eye_for(self._aspect, *self._view)
         self._server.initial_camera.position = self._start
 
-    def widen(self, half_width_m: float) -> None:
+    def widen(self, half_width_m: float, half_height_m: float = _HALF_HEIGHT_M) -> None:
         """Show more, or much less [m]; a little less changes nothing."""
-        if not 0.0 <= self.half_width_m - half_width_m <= _MUCH_M:
-            self._set(half_width_m)
+        wanted = half_width_m, half_height_m
+        less = [old - new for old, new in zip(self._view, wanted, strict=True)]
+        if not all(0.0 <= by <= _MUCH_M for by in less):
+            self._set(*wanted)
 
     def step_back(self) -> None:
         """Place the cameras of visitors who do not see all of it yet."""
@@ -65,7 +90,7 @@ class Viewpoint:
                 and _is_at(client, self._start)
                 and not _is_at(client, place[1])
             )
-            if place is None or place[0] != self.half_width_m:
+            if place is None or place[0] != self._view:
                 place, late = self._place_for(client, new=place is None), True
             if late:
                 client.camera.position, client.camera.look_at = place[1:]
@@ -79,26 +104,29 @@ class Viewpoint:
         if new and width > 2 * _PANEL_PX and not portrait:
             # The panel docks a moment later.
             width -= _PANEL_PX
-        eye = eye_for(width / max(height, 1), self.half_width_m)
+        eye = eye_for(width / max(height, 1), *self._view)
         down = 0.0
         if portrait:
             # The panel covers the lower part.
             away = float(np.linalg.norm(eye - _TARGET_M))
             down = PHONE_PANEL * away * math.tan(_FOV_RAD / 2.0)
-        return self.half_width_m, eye - down * _UP, _TARGET_M - down * _UP
+        return self._view, eye - down * _UP, _TARGET_M - down * _UP
 
 
 def _is_at(client: viser.ClientHandle, eye: FloatArray) -> bool:
     return bool(np.allclose(client.camera.position, eye, atol=_SAME_M))
 
 
-def eye_for(aspect: float, half_width_m: float) -> FloatArray:
+def eye_for(
+    aspect: float, half_width_m: float, half_height_m: float = _HALF_HEIGHT_M
+) -> FloatArray:
     """Return where to stand to see the table, (3,) [m].
 
     Args:
         aspect: Width of the window, in heights.
         half_width_m: Half the width that is in view at least [m].
+        half_height_m: The same for the height [m].
     """
-    half_width = max(_HALF_HEIGHT_M, half_width_m / max(aspect, 0.2))
+    half_width = max(half_height_m, half_width_m / max(aspect, 0.2))
     eye: FloatArray = _TARGET_M + half_width / math.tan(_FOV_RAD / 2.0) * _FROM
     return eye
