@@ -185,3 +185,23 @@ def test_results_are_named_by_their_files_too_and_others_refused(
         replays_in(tmp_path, None, None, 1)
     with pytest.raises(InvalidConfigError, match="no episodes of task hook"):
         replays_in(lines.parent, "hook", None, 1)
+
+
+def test_expert_goes_on_where_several_robots_were_at_work(tmp_path: Path) -> None:
+    played = tmp_path / "line"
+    options = ("--policy", "oracle", "--tasks", "line", "--episodes", "1")
+    assert lemma("evaluate", *options, "--out", played) == 0
+    (case,) = cases_in(played)
+    # As if the expert had been wrong before its fourth sub-task.
+    case.__dict__["mistake"] = 3
+    found = replay_line(case)
+    assert found.differs == ""
+    assert found.turn.begun
+    instead = expert_instead(case, found)
+    assert instead.success
+    steps = [line.subtask for line in instead.lines]
+    assert sorted(map(str, steps)) == sorted(
+        str(line.subtask) for line in found.recording.lines
+    )
+    assert instead.lines[:3] == found.recording.lines[:3]
+    assert any(line.start_s < found.turn_s for line in instead.lines[3:])

@@ -1,5 +1,6 @@
 """Episodes played again, to the bit, and the expert's solution of those that failed."""
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,10 +12,12 @@ from lemma.dataset.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
+from lemma.env.simulation import TICK_S
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import Watcher, differences, play_again
-from lemma.expert.expert import Expert, solve
+from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
@@ -205,6 +208,9 @@ def replay_line(
 def expert_instead(case: Case, again: Replayed) -> Recording:
     """Let the expert go on from where an episode went wrong.
 
+    Where robots acted together, those at work finish what they do; then the expert
+    lets all of them work.
+
     Args:
         case: The episode.
         again: The same, played again.
@@ -213,15 +219,39 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     episode.restore(again.turn)
     before = [frame for frame in again.recording.frames if frame[0] <= again.turn_s]
     taker = FrameTaker(episode.simulation, FRAME_S, before)
-    expert, kept = Expert(episode.simulation.scene, case.instance.goal), turn_of(case)
+    kept, watch = turn_of(case), TeamWatch(episode.simulation)
     lines = [*again.recording.lines[:kept]]
-    watch = TeamWatch(episode.simulation)
+    steps: Iterable[ExpertStep]
+    if case.row.get("together") is None:
+        expert = Expert(episode.simulation.scene, case.instance.goal)
+        steps = solve(episode, expert)
+    else:
+        begun = again.recording.lines[kept:]
+        lines += [line.watched(watch, again.turn_s) for line in _finish(episode, begun)]
+        steps = solve_together(episode)
     lines += [
         describe_step(step, case.instance).watched(watch, episode.elapsed_s)
-        for step in solve(episode, expert)
+        for step in steps
     ]
     title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
     found = Recording.of(title, episode, lines, taker.frames)
     if len(lines) == kept and not found.success:
         return replace(found, because="The expert knows no way from there.")
     return found
+
+
+def _finish(episode: Episode, begun: Sequence[Line]) -> Iterator[Line]:
+    """Let robots at work finish, and yield lines of what they did.
+
+    Args:
+        episode: It goes on until no robot is at work.
+        begun: Lines of the same sub-tasks, as they went on before.
+    """
+    while episode.simulation.busy:
+        for done in episode.advance():
+            robot, start_s = done.grounded.robot, done.start_s
+            for line in begun:
+                mine = line.subtask is not None and line.subtask.robot == robot
+                # Lines hold milliseconds.
+                if mine and abs(line.start_s - start_s) < TICK_S:
+                    yield line_of(line.words, start_s, done.result, line.subtask)
