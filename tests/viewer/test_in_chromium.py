@@ -12,7 +12,8 @@ from browser import Page as Browser
 from browser import page_in_chromium
 from looked_at import EVIL, STACK, seen_at, session_of, until, until_phase
 
-from lemma.viewer.episode.status import OWN_WORDS, Phase
+from lemma.viewer.by_hand import NOTHING_TO_ORDER
+from lemma.viewer.episode.status import OWN_WORDS, TOGETHER, Phase
 from lemma.viewer.page import Page
 from lemma.viewer.server import open_server
 
@@ -160,6 +161,35 @@ def test_robot_is_taken_over_and_handed_back(browser: Browser, page: Page) -> No
     press(browser, "Hand back")
     browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
     assert [line.outcome for line in play.status.lines][:2] == ["taken over", "by hand"]
+
+
+@pytest.mark.slow
+def test_four_robots_act_at_once_and_take_orders(browser: Browser, page: Page) -> None:
+    panel, session = page.panel, page.session
+    session.policies = (*session.policies, TOGETHER)
+    panel.policy.options = session.policies
+    panel.task.value, panel.policy.value, panel.index.value = "carousel", TOGETHER, 3
+    panel.set_table()
+    until_phase(session.play, Phase.READY)
+    session.set_speed(0.5)
+    press(browser, "Do it")
+    robots = (
+        "new Set([...document.querySelectorAll('.span')].map(s => s.dataset.robot))"
+    )
+    browser.wait_for(f"{robots}.size == 4")
+    until(lambda: session.play.transport.end_s > 1.0)
+    press(browser, "Pause")
+    # Orders are taken in a pause, too.
+    until(lambda: panel.orders.what.value != NOTHING_TO_ORDER)
+    press(browser, "Take over")
+    browser.wait_for(SHOWS.format("red robot (yours)"))
+    ordered = panel.orders.what.value
+    press(browser, "Give order")
+    session.set_speed(8.0)
+    press(browser, "Play")
+    browser.wait_for(SHOWS.format(f"red robot: {ordered}"))
+    press(browser, "Hand back")
+    browser.wait_for("document.querySelector('[data-phase=SOLVED]')")
 
 
 @pytest.mark.slow
