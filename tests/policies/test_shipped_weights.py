@@ -23,6 +23,8 @@ LADDER = {"keypose"}
 """Weights whose rows are of the ladder alone."""
 READERS = {name for name in NAMES if "base" in published_weights()[name]}
 """Weights with a reader of their own, and all else of others."""
+NEXT = {"reachnet-v3"}
+"""Trained on version 3 beside those of the tables, which they will replace."""
 WHOLE = tuple(
     name
     for name in NAMES
@@ -35,7 +37,7 @@ RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
 
 def test_all_trainings_of_the_tables_are_published() -> None:
     needed = {one for one in TRAININGS if TRAININGS[one].samples is None}
-    assert set(NAMES) - LADDER - READERS == needed
+    assert set(NAMES) - LADDER - READERS - NEXT == needed
 
 
 def test_there_are_results() -> None:
