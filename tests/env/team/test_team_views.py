@@ -64,9 +64,12 @@ def test_a_bad_order_is_refused_and_its_agent_asked_again() -> None:
 def test_masks_are_computed_once_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     env = lemma.team_parallel_env("stack2", **OPTIONS, horizon_s=2.5)
     inner, asked = env.inner, list[str]()
-    monkeypatch.setattr(
-        inner, "_mask", lambda robot: asked.append(robot) or inner._busy_mask()
-    )
+
+    def mask(robot: str) -> Any:
+        asked.append(robot)
+        return inner._busy_mask()
+
+    monkeypatch.setattr(inner, "_mask", mask)
     infos = env.reset()[1]
     assert asked == env.possible_agents
     wait = {name: info["action_mask"] for name, info in infos.items()}

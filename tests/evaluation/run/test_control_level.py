@@ -277,7 +277,7 @@ def test_who_lets_go_too_early_has_misplaced() -> None:
     rollout = player.begin(load_instance("pass", "val", 0), "high_level")
     assert isinstance(rollout, ControlRollout)
     rollout.take(None, Drops().act([player.given(rollout)])[0])
-    seen = rollout.told()["control"]
+    seen = rollout.told(rollout.verdict())["control"]
     assert [each["event"] for each in seen["events"]] == ["grasped"]
     assert rollout.actions == 60
 
