@@ -5,7 +5,7 @@ from pathlib import Path
 import lemma
 from lemma.policies.control.hand_steps import HandPolicy
 
-WEIGHTS = Path(__file__).parents[2] / "weights" / "hand_reach.pt"
+WEIGHTS = Path(__file__).parents[3] / "weights" / "hand_reach.pt"
 
 
 def test_the_shipped_hand_reaches_in_every_degree() -> None:
