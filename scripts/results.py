@@ -22,6 +22,7 @@ from lemma.evaluation.report.policy_results import (
 from lemma.evaluation.report.sections import (
     CONTROLS,
     HOW,
+    ROWS,
     TOPICS,
     Section,
     protocol_words,
@@ -30,15 +31,20 @@ from lemma.evaluation.report.sections import (
 )
 from lemma.evaluation.report.tables import at_a_glance, words
 from lemma.tasks.suite import SUITE
-from lemma.viz.pages.report_figures import headline_figure
-from lemma.viz.plots import standalone
+from lemma.viz.pages.report_figures import headline_figure, stages_figure
+from lemma.viz.plots import Figure, standalone
+from trainings import read_trainings, training_table, validation_figure
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
 DOCS = ROOT / "docs"
 PAGE = DOCS / "results.md"
 FOLDER = DOCS / "results"
-FIGURE = DOCS / "images" / "results.svg"
+IMAGES = DOCS / "images"
+FIGURE = IMAGES / "results.svg"
+STAGES = IMAGES / "stages.svg"
+CURVES = IMAGES / "validation.svg"
+FIGURES = (FIGURE, STAGES, CURVES)
 README = ROOT / "README.md"
 BEGIN, END = "<!-- results -->\n", "<!-- /results -->\n"
 NOTHING = (
@@ -90,6 +96,11 @@ All kinds of instructions and all seeds; strict.
 [](evaluation.md#why-an-episode-failed) defines the causes.
 
 {causes}
+![Furthest stage, high-level instructions](images/stages.svg)
+
+*High-level instructions, strict: episodes by the furthest stage of the expert's plan
+that they reached, in its first sub-task or in a later one. Right: the success rate.*
+{training}
 ## All tables
 
 {links}
@@ -101,6 +112,15 @@ All kinds of instructions and all seeds; strict.
 
 This page is written by `python scripts/results.py` from the files in `results/` and
 from nothing else. `lemma reproduce NAME` makes a row.
+"""
+
+_TRAINING = """
+## How the weights were trained
+
+![Validation while training](images/validation.svg)
+
+*The score by which the best weights of a training are chosen, at its ten validations;
+each model has its own. [](results/rows.md#trainings) lists all trainings.*
 """
 
 
@@ -120,28 +140,46 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
         learning_curves(read_curves(results)),
         CONTROLS,
     )
-    told = [*sections(every, "[](../evaluation.md)"), curves]
+    trainings = read_trainings(results / "trainings")
+    trained = Section(
+        "Trainings",
+        "The last column is near zero where a training had long enough. Frames per "
+        "second are those of a machine that did other work beside it.",
+        training_table(trainings),
+        ROWS,
+    )
+    told = [*sections(every, "[](../evaluation.md)"), curves, trained]
     found = [section for section in told if section.table.rows]
     played = _headliners(every)
-    written = {PAGE: _front(every, played, found)}
+    written = {PAGE: _front(every, played, found, curved=bool(trainings))}
     for topic in TOPICS:
         of_topic = [section for section in found if section.topic == topic]
         written[FOLDER / f"{topic}.md"] = _topic_page(topic, of_topic)
     for section in found:
         written[FOLDER / f"{section.name}.csv"] = section.table.csv()
     if played:
-        figure = standalone(headline_figure(played).svg)
-        # Its words are dark, and pages may be, too.
-        begin, end, rest = figure.partition(">")
-        white = '<rect width="100%" height="100%" fill="#ffffff"/>'
-        written[FIGURE] = f"{begin}{end}{white}{rest}"
+        written[FIGURE] = _on_white(headline_figure(played))
+    staged = stages_figure(played)
+    if staged:
+        written[STAGES] = _on_white(staged)
+    if trainings:
+        written[CURVES] = _on_white(validation_figure(trainings))
     return written
+
+
+def _on_white(figure: Figure) -> str:
+    """Return a figure as a file; its words are dark, and pages may be, too."""
+    begin, end, rest = standalone(figure.svg).partition(">")
+    white = '<rect width="100%" height="100%" fill="#ffffff"/>'
+    return f"{begin}{end}{white}{rest}"
 
 
 def _front(
     every: Sequence[PolicyResults],
     played: Sequence[PolicyResults],
     found: Sequence[Section],
+    *,
+    curved: bool,
 ) -> str:
     links = [
         f"- [](results/{topic}.md): "
@@ -158,6 +196,7 @@ def _front(
         glance=at_a_glance(played).markdown() if played else NOTHING,
         tasks=_by_task(played).markdown(),
         causes=_causes(played).markdown(),
+        training=_TRAINING if curved else "",
         links="\n".join(links) + "\n",
         toctree="\n".join(f"results/{topic}" for topic in TOPICS),
     )

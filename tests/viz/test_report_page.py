@@ -270,7 +270,7 @@ def test_the_verb_writes_page_tables_and_figures(
     said = capsys.readouterr().out
     assert f"0 of {LOST} failed episodes have pictures" in said.replace("\n", " ")
     assert (tmp_path / "results.md").exists()
-    assert len(list((tmp_path / "figures").glob("*.svg"))) == 10
+    assert len(list((tmp_path / "figures").glob("*.svg"))) == 12
     text = (tmp_path / "index.html").read_text()
     assert not re.search(r"(?:src|href)=\"(?!#|data:)", text)
     assert not re.search(r"https?://(?!www\.w3\.org)", text)

@@ -240,7 +240,7 @@ DEFAULTS: dict[str, Defaults] = {
     "cliport": Defaults(samples=300_000, learning_rate=1e-3),
     "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
     "keypose": Defaults(samples=300_000, batch_size=64, learning_rate=1e-3),
-    "reachnet": Defaults(samples=150_000, batch_size=128, learning_rate=1e-3),
+    "reachnet": Defaults(samples=300_000, batch_size=128, learning_rate=1e-3),
 }
 """Defaults by name of the model."""
 

@@ -1,10 +1,12 @@
 """The figures of a report."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
 
 from lemma.core.files import write_text
+from lemma.env.stages import Stage
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.analysis.rates import Cell, mean_over_tasks, rate_of
 from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL, Measured
@@ -16,6 +18,17 @@ from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, stan
 
 FIGURES = "figures"
 _NOT_PLOTTED = (ABLATIONS, CONTROL_LEVEL, "controls")
+_NONE, _FIRST, _LATER = "none", "first:", "later:"
+_STAGES = (
+    _NONE,
+    *(
+        f"{which} {stage}"
+        for which in (_FIRST, _LATER)
+        for stage in Stage
+        if stage is not Stage.DRAGGED
+    ),
+)
+"""Parts of a bar; dragging is where lifting is, with the stick."""
 _INTERVALS = (
     "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
     "standard deviation over the seeds."
@@ -39,6 +52,23 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
 def headline_figure(entries: Sequence[PolicyResults]) -> Figure:
     """Return success by task with high-level instructions; at least one has some."""
     return next(_of_kind(entries, EVALUATION_KINDS[0]))
+
+
+def stages_figure(
+    entries: Sequence[PolicyResults], kind: str = EVALUATION_KINDS[0]
+) -> Figure | None:
+    """Return the furthest stages with one kind of instructions, if any are known."""
+    bars = [bar for entry in entries for bar in _furthest(entry, kind)]
+    end = words(kind, "-")
+    if not bars:
+        return None
+    return Figure(
+        f"stages-{end}",
+        f"Furthest stage, {end} instructions",
+        "Strict episodes by the furthest stage of the expert's plan that they "
+        "reached, in its first sub-task or in a later one; right, the success rate.",
+        stacks(_STAGES, bars, "share of episodes [%]"),
+    )
 
 
 def write_figures(folder: Path, figures: Iterable[Figure]) -> None:
@@ -78,6 +108,9 @@ def _of_kind(entries: Sequence[PolicyResults], kind: str) -> Iterator[Figure]:
             "Failed episodes by their first mistake; the rest of each bar succeeded.",
             stacks([words(c) for c in Cause], bars, "share of episodes [%]"),
         )
+    staged = stages_figure(entries, kind)
+    if staged:
+        yield staged
     progress = [_progress(entry, kind, tasks) for entry in entries]
     yield Figure(
         f"progress-by-task-{end}",
@@ -153,6 +186,26 @@ def _progress(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
 def _dumbbell(solved: float, reached: float) -> Mark:
     text = f"progress {reached:.1%}, success {solved:.1%}"
     return Mark(reached, solved, reached, text)
+
+
+def _furthest(entry: PolicyResults, kind: str) -> Iterator[Bar]:
+    """Return the bar of a policy, if its results know stages."""
+    found = [
+        one for result in entry.results for one in result.reached if one.kind == kind
+    ]
+    episodes = sum(one.episodes for one in found)
+    if not episodes:
+        return
+    counted: Counter[str] = Counter()
+    for one in found:
+        for label, count in one.stages.items():
+            number, _, stage = label.partition(" ")
+            stage = Stage.LIFTED if stage == Stage.DRAGGED else stage
+            part = f"{_FIRST if number == '1' else _LATER} {stage}" if stage else _NONE
+            counted[part] += count
+    solved = fmean(mean_over_tasks(cells) for cells in entry.select(kind) if cells)
+    shares = tuple(counted[part] / episodes for part in _STAGES)
+    yield Bar(entry.title, f"{solved:.1%}", shares)
 
 
 def _causes(entry: PolicyResults, kind: str) -> Bar:

@@ -70,12 +70,12 @@ class ReaderConfig:
     nothing: for a reader that is taught without sentences."""
     refuses: bool = True
     """Whether it can say that a sentence is no order, and why."""
-    lessons: Share = 0.15
+    lessons: Share = 0.5
     """Sentences for the reader alone, for each frame of a batch of training: some that
     are no orders, and orders that look like them. For a reader that refuses."""
     refuse_from: Share = 0.7
     """How likely a sentence must be no order for the policy to stop."""
-    temperature: Temperature = 1.0
+    temperature: Temperature = 1.8
     """Log-probabilities of goals, and those of reasons, are divided by this, so that
     its certainty is how often it is right."""
 

@@ -1,0 +1,172 @@
+"""Trainings of the weights that are reported: how long, how fast, and how they ended.
+
+    python scripts/trainings.py runs/seed-0/* runs/seed-1/*
+
+keeps what ``lemma train`` wrote of those runs in results/trainings/, where
+``scripts/results.py`` finds it: a table, and a figure of all validation curves.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import msgspec
+
+from lemma.core.errors import DatasetError
+from lemma.core.files import read_json, write_json
+from lemma.core.tables import Table
+from lemma.policies.models.catalog import MODELS
+from lemma.viz.plots import Figure, Mark, Series, lines
+
+FOLDER = Path(__file__).parents[1] / "results" / "trainings"
+TENTHS = 10
+"""Validations of a training, unless it was asked for others."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training, with one seed."""
+
+    name: str
+    """Name of its weights."""
+    seed: int
+    samples: int
+    """Frames that were trained on."""
+    seconds: float
+    """Time of the training [s]."""
+    samples_per_s: float
+    """Frames per second, without validation and checkpoints."""
+    gpu_memory_gb: float
+    device: str
+    status: str
+    """``finished``, or ``time is up``."""
+    selection: str
+    """The score by which the best weights were chosen."""
+    curve: tuple[float, ...]
+    """That score at each validation, from 0 to 1."""
+    command: str
+
+
+def training_of(run: Path) -> Training:
+    """Return what is kept of a run.
+
+    Args:
+        run: Its folder ``.../seed-SEED/NAME``, with ``report.json``.
+
+    Raises:
+        DatasetError: It has no report.
+    """
+    return training_from(read_json(run / "report.json"), run.name)
+
+
+def training_from(report: Mapping[str, object], name: str) -> Training:
+    """Return what is kept of the report of a run.
+
+    Args:
+        report: The contents of ``report.json``.
+        name: Name of the weights.
+    """
+    told = msgspec.convert(report, _Report)
+    selection = MODELS[told.model][0].selection
+    seed = told.command.partition("--seed ")[2].split()
+    return Training(
+        name=name,
+        seed=int(seed[0]) if seed else 0,
+        samples=told.samples,
+        seconds=round(told.seconds, 1),
+        samples_per_s=round(told.samples_per_s, 1),
+        gpu_memory_gb=round(told.gpu_memory_gb, 1),
+        device=told.device,
+        status=told.status,
+        selection=selection,
+        curve=tuple(round(one[selection], 4) for one in told.history),
+        command=told.command,
+    )
+
+
+class _Report(msgspec.Struct):
+    """The part of a report that is kept."""
+
+    model: str
+    samples: int
+    seconds: float
+    samples_per_s: float
+    gpu_memory_gb: float
+    device: str
+    status: str
+    history: list[dict[str, float]]
+    command: str
+
+
+def read_trainings(folder: Path = FOLDER) -> list[Training]:
+    """Return all that are kept, by name and seed.
+
+    Raises:
+        DatasetError: One is damaged.
+    """
+    found = []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            found.append(msgspec.convert(read_json(path), Training))
+        except msgspec.ValidationError as error:
+            raise DatasetError(f"{path} is no training: {error}.") from error
+    return found
+
+
+def training_table(trainings: Sequence[Training]) -> Table:
+    """Return a row for each training."""
+    rows = (
+        (
+            one.name,
+            one.device,
+            f"{one.seed}",
+            f"{one.samples:,}",
+            f"{one.seconds:.0f}",
+            f"{one.samples_per_s:.0f}",
+            f"{one.gpu_memory_gb:.0f}",
+            f"`{one.selection}` {100 * max(one.curve):.1f}",
+            f"{100 * (one.curve[-1] - one.curve[len(one.curve) * 4 // 5 - 1]):+.1f}",
+        )
+        for one in trainings
+    )
+    header = (
+        *("weights", "device", "seed", "frames", "seconds", "frames/s", "memory [GB]"),
+        *("best validation [%]", "change in the last fifth [points]"),
+    )
+    return Table(header, tuple(rows), labels=2)
+
+
+def validation_figure(trainings: Sequence[Training]) -> Figure:
+    """Return the validation curves of those with ten validations; the first seeds."""
+    shown: dict[str, Training] = {}
+    for one in trainings:
+        if len(one.curve) == TENTHS:
+            shown.setdefault(one.name, one)
+    series = [
+        Series(
+            f"{one.name}: {one.selection}",
+            tuple(Mark(value, value, value, f"{value:.1%}") for value in one.curve),
+        )
+        for one in shown.values()
+    ]
+    parts = [f"{10 * (k + 1)}" for k in range(TENTHS)]
+    axes = "share of the training [%]", "validation score [%]"
+    return Figure(
+        "validation",
+        "Validation while training",
+        "The score by which the best weights are chosen; each model has its own.",
+        lines(parts, series, axes),
+    )
+
+
+def main() -> None:
+    """Keep the runs that are named."""
+    for argument in sys.argv[1:]:
+        run = Path(argument)
+        one = training_of(run)
+        write_json(FOLDER / f"{one.name}-seed-{one.seed}.json", asdict(one))
+
+
+if __name__ == "__main__":
+    main()
