@@ -33,7 +33,6 @@ from lemma.evaluation.report.policy_results import (
 from lemma.evaluation.report.sections import page, sections
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import SUITE
-from trainings import read_trainings, training_of, training_table, validation_figure
 
 
 def entry_of(*results: Result) -> PolicyResults:
@@ -386,25 +385,3 @@ def test_learning_curves_are_read_back_and_shown(tmp_path: Path) -> None:
     (tmp_path / NAME / CURVE).write_text('{"points": 3}')
     with pytest.raises(DatasetError, match="no learning curve"):
         read_curves(tmp_path)
-
-
-def test_trainings_are_kept_listed_and_plotted(tmp_path: Path) -> None:
-    scores = [0.5 + k / 50 for k in range(10)]
-    report = {
-        **{"model": "cliport", "samples": 640, "seconds": 12.34, "samples_per_s": 55.5},
-        **{"gpu_memory_gb": 44.0, "device": "a card", "status": "finished"},
-        "command": "lemma train cliport --out runs/seed-1/cliport --seed 1",
-        "history": [{"step": k, "grounded": one} for k, one in enumerate(scores)],
-        "scores": {},
-    }
-    write_json(tmp_path / "run" / "report.json", report)
-    kept = replace(training_of(tmp_path / "run"), name="cliport")
-    write_json(tmp_path / "kept" / "one.json", asdict(kept))
-    assert read_trainings(tmp_path / "kept") == [kept]
-    (row,) = training_table([kept]).rows
-    assert row[:5] == ("cliport", "a card", "1", "640", "12")
-    assert row[-2:] == ("`grounded` 68.0", "+4.0")
-    assert "cliport: grounded" in validation_figure([kept]).svg
-    (tmp_path / "kept" / "two.json").write_text('{"name": 3}')
-    with pytest.raises(DatasetError, match="no training"):
-        read_trainings(tmp_path / "kept")
