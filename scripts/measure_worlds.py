@@ -1,10 +1,11 @@
-"""Measure the GPU environment: speed, time outside physics, agreement with the CPU.
+"""Replay the expert's motor commands in many worlds: how far they are from the CPU.
 
-python scripts/measure_worlds.py [WORLDS] [STEPS] [TASK ...]
+python scripts/measure_worlds.py [WORLDS] [TASK ...]
+
+Speed is measured by `lemma bench --gpu`.
 """
 
 import sys
-import time
 
 import mujoco_warp as mjw
 import numpy as np
@@ -22,35 +23,6 @@ def sync(env: GpuVecEnv) -> None:
     wp.synchronize()
     if env.device.startswith("cuda"):
         torch.cuda.synchronize()
-
-
-def speed(task: str, worlds: int, steps: int) -> None:
-    """Print control steps a second, and the share of time outside physics."""
-    start = time.perf_counter()
-    env = GpuVecEnv(task, worlds, pool=64, control_hz=20.0)
-    env.reset(seed=0)
-    action = torch.zeros(worlds, env.numbers, device=env.device)
-    env.step(action)
-    sync(env)
-    print(f"{task}: ready after {time.perf_counter() - start:.0f} s", flush=True)
-    start = time.perf_counter()
-    for _ in range(steps):
-        env.step(action.uniform_(-1.0, 1.0))
-    sync(env)
-    whole = time.perf_counter() - start
-    start = time.perf_counter()
-    for _ in range(steps):
-        env._simulate()
-    sync(env)
-    physics = time.perf_counter() - start
-    print(
-        f"{task}, {worlds} worlds: {worlds * steps / whole:,.0f} control steps/s at "
-        f"20 Hz; {1.0 - physics / whole:.0%} outside physics; "
-        f"{int(env.lost_worlds)} lost; memory "
-        f"{torch.cuda.mem_get_info() if torch.cuda.is_available() else ''}",
-        flush=True,
-    )
-    env.check()
 
 
 def parity(task: str, worlds: int) -> None:
@@ -112,9 +84,6 @@ def parity(task: str, worlds: int) -> None:
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    worlds, steps = (int(x) for x in (*given[:2], *("4096", "200")[len(given[:2]) :]))
-    tasks = given[2:] or ["stack", "lift_varied", "reach_varied"]
-    for each in tasks:
-        speed(each, worlds, steps)
-    for each in tasks:
-        parity(each, min(worlds, 1024))
+    worlds = int(given[0]) if given else 1024
+    for each in given[1:] or ["stack", "lift_varied", "reach_varied"]:
+        parity(each, worlds)

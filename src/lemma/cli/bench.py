@@ -1,7 +1,7 @@
 """`lemma bench`: the benchmark's own figures, measured here."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -95,6 +95,16 @@ _TOGETHER_TARGETS = {
     "clearance_mm": ("least distance between arms", "{:.0f} mm", "≥ 50 mm"),
     "loop_ratio": ("the loop over bare physics", "{:.2f}", "≥ 0.7"),
 }
+_GPU_TARGETS = {
+    "graph_hz": ("control steps per second, all tables", "{:,.0f}", "≥ 150,000"),
+    "eager_hz": ("without CUDA graphs beside physics", "{:,.0f}", ""),
+    "physics_hz": ("physics alone", "{:,.0f}", ""),
+    "outside": ("share of time outside physics", "{:.0%}", "≤ 30 %"),
+    "eager_outside": ("without CUDA graphs beside physics", "{:.0%}", ""),
+    "lost_worlds": ("worlds whose state was no number", "{:.0f}", "0"),
+    "ready_s": ("until the first step, with compiling", "{:.0f} s", ""),
+}
+_WORLDS = 4096
 _GROUPS = {
     "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
     "loop": (
@@ -131,6 +141,8 @@ def bench(
         str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")
     ] = None,
     data: Folder = None,
+    gpu: Flag = False,
+    worlds: Number = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Measure speed, memory and, if asked to, the expert's success.
@@ -146,22 +158,22 @@ def bench(
             needs.
         training: Measure instead how fast this model learns, and how busy the GPU is.
         data: With --training: folder of keyframes that lemma render wrote.
+        gpu: Measure instead many tables at once, by lemma.make_gpu_vec, in these tasks
+            or in stack.
+        worlds: With --gpu: how many tables; 4096 by default.
         as_json: Print one JSON object on the output, and the progress elsewhere.
     """
     names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
-    _check_options(expert, episodes, workers, policy, training, data, together)
+    asked = {"--policy": policy, "--training": training, "--expert": expert,
+             "--together": together, "--gpu": gpu}  # fmt: skip
+    _check_options(asked, episodes, workers, data, worlds)
+    if gpu:
+        return _bench_gpu(names if tasks else ("stack",), worlds or _WORLDS, as_json)
     if together:
         return _bench_together(names if tasks else PARALLEL_TASKS, episodes, as_json)
     each = min(episodes, _SPEED_EPISODES)
-    instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     machine = describe_machine()
-    if training is not None and data is not None:
-        found = {"training": _measure_training(training, data)}
-    elif policy is not None:
-        with messages().status(f"Playing {len(instances)} episodes ..."):
-            found = {"policy": measure_policy(policy, instances)}
-    else:
-        found = _measure_speed(instances, each)
+    found = _measure(names, each, policy, training, data)
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
         told: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
@@ -169,12 +181,32 @@ def bench(
             told["expert"] = {task: _rounded(of) for task, of in experts.items()}
         print_json({"machine": machine, **told})
         return 0
-    output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
+    _print_machine(machine)
     for name, figures in found.items():
         _print_group(name, figures, policy=policy, training=training, each=each)
     if experts:
         _print_experts(experts)
     return 0
+
+
+def _measure(
+    names: tuple[str, ...],
+    each: int,
+    policy: str | None,
+    training: str | None,
+    data: Path | None,
+) -> dict[str, Figures]:
+    instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
+    if training is not None and data is not None:
+        return {"training": _measure_training(training, data)}
+    if policy is not None:
+        with messages().status(f"Playing {len(instances)} episodes ..."):
+            return {"policy": measure_policy(policy, instances)}
+    return _measure_speed(instances, each)
+
+
+def _print_machine(machine: Mapping[str, object]) -> None:
+    output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
 
 
 def _print_group(name: str, figures: Figures, **told: object) -> None:
@@ -185,28 +217,29 @@ def _print_group(name: str, figures: Figures, **told: object) -> None:
 
 
 def _check_options(
-    expert: bool,
+    asked: Mapping[str, object],
     episodes: int,
     workers: int | None,
-    policy: str | None,
-    training: str | None,
     data: Path | None,
-    together: bool,
+    worlds: int | None,
 ) -> None:
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
             f"--episodes goes from 1 to {SPLITS[_SPLIT]}, the length of the frozen "
             f"list, and --workers from 1 up; not {episodes} and {workers}."
         )
-    asked = (policy is not None, training is not None, expert, together)
-    if sum(asked) > 1:
+    if len([name for name, value in asked.items() if value]) > 1:
         raise InvalidConfigError(
-            "--policy, --training, --expert and --together measure different things. "
-            "Name one of them."
+            "--policy, --training, --expert, --together and --gpu measure different "
+            "things. Name one of them."
         )
-    if (training is None) != (data is None):
+    if (asked["--training"] is None) != (data is None):
         raise InvalidConfigError(
             "--training MODEL and --data DIR belong together: name both of them."
+        )
+    if worlds is not None and not (asked["--gpu"] and worlds >= 1):
+        raise InvalidConfigError(
+            f"--worlds goes with --gpu and is from 1 up, not {worlds}."
         )
 
 
@@ -246,6 +279,30 @@ def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int
     for name, figures in found.items():
         title = f"{name}, first {episodes} of split {_SPLIT!r}"
         print_figures(figures, _TOGETHER_TARGETS, title)
+    return 0
+
+
+def _bench_gpu(names: tuple[str, ...], worlds: int, as_json: bool) -> int:
+    try:
+        from lemma.bench.worlds import describe_device, measure_worlds
+    except ImportError as error:
+        raise InvalidConfigError(
+            f"--gpu needs {error.name}: pip install 'lemma-bench[warp]'."
+        ) from error
+
+    machine = {**describe_machine(), **describe_device()}
+    found = {}
+    for name in names:
+        with messages().status(f"{name}: {worlds} tables; the first time it compiles"):
+            found[name] = measure_worlds(name, worlds)
+    if as_json:
+        print_json({"machine": machine, "gpu": found})
+        return 0
+    _print_machine(machine)
+    for name, figures in found.items():
+        print_figures(figures, _GPU_TARGETS, f"{name}, {worlds} tables, 20 Hz")
+        worst = max(figures["differences"].values())
+        output().print(f"Largest difference between both paths: {worst:.2g}")
     return 0
 
 

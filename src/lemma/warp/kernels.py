@@ -5,14 +5,12 @@ import math
 import warp as wp
 
 from lemma.env.control.motor_commands import ACCELERATION_RAD_S2
-from lemma.robots.gripper import TCP_OFFSET_M
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
 
 _H, _A = wp.constant(TIME_STEP_S), wp.constant(ACCELERATION_RAD_S2)
 _STEEP = wp.constant(math.cos(math.radians(30.0)))
 _COAST, _FLIGHT = wp.constant(COAST_M), wp.constant(FLIGHT_S)
-_TCP = wp.constant(TCP_OFFSET_M)
 
 
 @wp.kernel
@@ -135,41 +133,3 @@ def follow(  # noqa: PLR0913
         dy = y - left[w, k, 1]
         if dx * dx + dy * dy > _COAST * _COAST or left[w, k, 2] > _FLIGHT:
             thrown[w] = 1
-
-
-@wp.kernel
-def place_hands(
-    qpos: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    addresses: wp.array(dtype=int),  # type: ignore[valid-type]
-    dh: wp.array2d(dtype=float),  # type: ignore[valid-type]
-    base: wp.array3d(dtype=float),  # type: ignore[valid-type]
-    out: wp.array3d(dtype=float),  # type: ignore[valid-type]
-) -> None:
-    """Write position and rotation (rows) of each tool centre point, 12 numbers."""
-    w, r = wp.tid()
-    turn = base[w, r, 2]
-    c0, s0 = wp.cos(turn), wp.sin(turn)
-    rot = wp.mat33(c0, -s0, 0.0, s0, c0, 0.0, 0.0, 0.0, 1.0)
-    pos = wp.vec3(base[w, r, 0], base[w, r, 1], 0.0)
-    for i in range(6):
-        q = qpos[w, addresses[r] + i]
-        c, s = wp.cos(q), wp.sin(q)
-        a = float(0.0)
-        d = float(dh[r, i])
-        ca = float(0.0)
-        sa = float(1.0)
-        if i == 1 or i == 2:
-            a = -dh[r, i]
-            d = 0.0
-        if i == 1 or i == 2 or i == 5:
-            ca = 1.0
-            sa = 0.0
-        if i == 4:
-            sa = -1.0
-        pos = pos + rot * wp.vec3(a * c, a * s, d)
-        rot = rot * wp.mat33(c, -s * ca, s * sa, s, c * ca, -c * sa, 0.0, sa, ca)
-    pos = pos + rot * wp.vec3(0.0, 0.0, _TCP)
-    for i in range(3):
-        out[w, r, i] = pos[i]
-        for j in range(3):
-            out[w, r, 3 + 3 * i + j] = rot[i, j]

@@ -39,6 +39,7 @@ class Signals:
     def look(self) -> None:
         """Read where objects are now; the hands' poses are those of the environment."""
         env = self._env
+        self._parts: dict[tuple[int, int], Tensor] = {}
         poses = env._rows["fixed"][env.instance].clone()
         motion = poses.new_zeros(len(poses), self._slots, 2)
         for k, (at, dof) in enumerate(zip(self._free, self._dofs, strict=True)):
@@ -62,8 +63,12 @@ class Signals:
         return (self._touch[:, slot, 0] & mask) != 0
 
     def _part(self, pair: tuple[int, int]) -> Tensor:
-        """Return whether a part of the goal holds, (n,)."""
-        top, bottom = pair
+        """Return whether a part of the goal holds, (n,); worked out once a look."""
+        if pair not in self._parts:
+            self._parts[pair] = self._holds(*pair)
+        return self._parts[pair]
+
+    def _holds(self, top: int, bottom: int) -> Tensor:
         if top < 0:
             off = self._tcp - self.at[:, bottom, None]
             above = off[..., 2] - self._kinds[bottom].top_m
@@ -183,7 +188,7 @@ class Signals:
             turn = turn - torch.round(turn / quarter) * quarter
         else:
             turn = torch.zeros_like(turn)
-        axis = hands[..., [5, 8, 11]]
+        axis = hands[..., 5::3]
         way = (self._place(pair) - here)[:, None].expand_as(self._tcp)
         numbers = [reach, self._tcp[..., 2], *seen(axis)[:2], opening]
         numbers += [self.holds[:, slot].float(), *seen(at[:, None] - self._tcp), turn]

@@ -10,8 +10,9 @@ from torch import Tensor
 from lemma.core.errors import PhysicsError
 from lemma.env.control.guarded_arm import SPEED_FRACTION
 from lemma.policies.control.hand_steps import Arms
+from lemma.warp.hands import hand_poses
 from lemma.warp.instances import Pool
-from lemma.warp.kernels import drive, follow, note, place_hands
+from lemma.warp.kernels import drive, follow, note
 
 _LOST = (
     mjw.OverflowType.NEFC | mjw.OverflowType.NARROWPHASE | mjw.OverflowType.BROADPHASE
@@ -25,6 +26,12 @@ class Worlds:
     num_envs: int
     device: str
     _substeps: int
+
+    def _make_worlds(self) -> None:
+        self._make_physics()
+        self._make_memory()
+        self._make_constants()
+        self._capture()
 
     def _make_physics(self) -> None:
         scene, n = self.pool.scene, self.num_envs
@@ -67,11 +74,7 @@ class Worlds:
         self.joint_at = torch.tensor(
             [[*range(r.qpos.start, r.qpos.stop)] for r in self.robots], device=device
         )
-        self._fingers = torch.tensor([r.finger_qpos for r in self.robots])
-        self._dofs = torch.tensor(
-            [[*range(r.dof.start, r.dof.stop + 2)] for r in self.robots]
-        )
-        self._grips = [robot.gripper_ctrl for robot in self.robots]
+        self._make_places()
 
         def zeros(*shape: int, dtype: Any = torch.float32) -> Tensor:
             return torch.zeros(shape, dtype=dtype, device=device)
@@ -86,6 +89,24 @@ class Worlds:
             zeros(n, dtype=torch.int64) for _ in range(3)
         )
         self.potential = zeros(n)
+
+    def _make_places(self) -> None:
+        """Make indices on the device: a list would be copied to it at each use."""
+        pool, robots = self.pool, self.robots
+        free = [pool.scene.qpos_of(name) for name in pool.scene.movable_names]
+        places = {
+            "fingers": [list(r.finger_qpos) for r in robots],
+            "dofs": [[*range(r.dof.start, r.dof.stop + 2)] for r in robots],
+            "grips": [r.gripper_ctrl for r in robots],
+            "motors": [[*range(r.ctrl.start, r.ctrl.stop)] for r in robots],
+            "moved": list(pool.moved),
+            "geoms": list(pool.geoms),
+            "free": [[at, at + 1] for at in free],
+        }
+        self._at = {
+            key: torch.tensor(value, dtype=torch.int64, device=self.device)
+            for key, value in places.items()
+        }
 
     def _make_constants(self) -> None:
         scene, device = self.pool.scene, self.device
@@ -110,8 +131,6 @@ class Worlds:
                 (places, int),
                 (free, int),
                 (owner, int),
-                ([r.qpos.start for r in self.robots], int),
-                ([list(arm.dh) for arm in arms], float),
             )
         )
 
@@ -130,7 +149,7 @@ class Worlds:
 
     def _advance(self) -> None:
         """Advance the physics by one control step, in Warp."""
-        numbers, places, free, owner, _, _ = self._constants
+        numbers, places, free, owner = self._constants
         data, n, slots = self.data, self.num_envs, len(self.pool.slots)
         movable = len(self.pool.scene.movable_names)
         robots = sum(1 << (1 + slots + k) for k in range(3 * len(self.robots)))
@@ -183,18 +202,7 @@ class Worlds:
             wp.capture_launch(self._graph, stream=stream)
 
     def _place_hands(self) -> None:
-        *_, starts, dh = self._constants
-        stream = None
-        if self._graph is not None:
-            stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
-        wp.launch(
-            place_hands,
-            (self.num_envs, len(self.robots)),
-            [self.data.qpos, starts, dh, wp.from_torch(self.base),
-             wp.from_torch(self.hands)],
-            device=self.device,
-            stream=stream,
-        )  # fmt: skip
+        self.hands.copy_(hand_poses(self.qpos[:, self.joint_at], self.base, self.arms))
 
     @property
     def here(self) -> Tensor:

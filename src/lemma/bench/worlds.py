@@ -1,0 +1,163 @@
+"""Speed of many tables at once on a GPU, with and without CUDA graphs, and equality.
+
+It imports torch and MuJoCo Warp, which are extras.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from lemma.warp.vector_env import GpuVecEnv
+
+CONTROL_HZ = 20.0
+Figures = dict[str, float]
+
+
+def describe_device() -> dict[str, Any]:
+    """Return what the tables are simulated on, ready for JSON."""
+    if not torch.cuda.is_available():
+        return {"device": "cpu", "torch": torch.__version__, "warp": wp.__version__}
+    return {
+        "device": torch.cuda.get_device_name(),
+        "device_memory_gb": round(torch.cuda.mem_get_info()[1] / 1e9, 1),
+        "cuda": torch.version.cuda,
+        "torch": torch.__version__,
+        "warp": wp.__version__,
+    }
+
+
+def measure_worlds(
+    task: str, worlds: int, steps: int | None = None, **options: Any
+) -> dict[str, Any]:
+    """Measure speed at 20 Hz with random actions, and whether both paths agree.
+
+    Args:
+        task: Name of a task with cubes and pads.
+        worlds: How many tables.
+        steps: Control steps that are timed, after some that are not; 200 on a GPU, 5
+            without.
+        **options: Of :class:`lemma.warp.vector_env.GpuVecEnv`.
+
+    Returns:
+        ``eager_hz``, ``graph_hz`` and ``physics_hz``, control steps per second of all
+        tables; ``outside`` and ``eager_outside``, the share of time outside physics;
+        ``graphed``, ``differences`` of :func:`compare`, ``lost_worlds``, ``ready_s``.
+    """
+    start = time.perf_counter()
+    steps = steps or (200 if torch.cuda.is_available() else 5)
+    options = {"pool": 64, "control_hz": CONTROL_HZ, **options}
+    env = GpuVecEnv(task, worlds, graph=False, **options)
+    # Episodes end at different times.
+    env._age.random_(0, env._horizon)
+    _play(env, 2)
+    found: dict[str, Any] = {"ready_s": time.perf_counter() - start}
+    eager = _timed(env, steps, lambda: _play(env, 1))
+    start = time.perf_counter()
+    env.use_graph(True)
+    env._age.random_(0, env._horizon)
+    _play(env, 2)
+    found["capture_s"] = time.perf_counter() - start
+    whole = _timed(env, steps, lambda: _play(env, 1))
+    physics = _timed(env, steps, env._simulate)
+    parts = {
+        "before_ms": 1e3 * _timed(env, steps, env._before),
+        "after_ms": 1e3 * _timed(env, steps, env._after),
+    }
+    return found | {
+        "worlds": worlds,
+        "graphed": env.graphed,
+        "eager_hz": worlds / eager,
+        "graph_hz": worlds / whole,
+        "physics_hz": worlds / physics,
+        "step_ms": 1e3 * whole,
+        "physics_ms": 1e3 * physics,
+        **parts,
+        "outside": 1.0 - physics / whole,
+        "eager_outside": 1.0 - physics / eager,
+        "differences": compare(env, min(steps, 20)),
+        "lost_worlds": int(env.lost_worlds),
+    }
+
+
+def compare(env: GpuVecEnv, steps: int) -> Figures:
+    """Return the largest differences of both paths, each begun in the same states.
+
+    At every step the commands, and then what follows from the physics, are worked out
+    twice: one call after the other, and by what the environment replays.
+
+    Args:
+        env: The environment; it goes on.
+        steps: How many steps are compared.
+
+    Returns:
+        By name of what a step returns, and ``memory`` and ``commands``; 1 for a truth
+        value or number of an instance that differs anywhere.
+    """
+    worst: Figures = {}
+    for _ in range(steps):
+        env._action.uniform_(-1.0, 1.0)
+        _compare(env, env._command, env._before, "commands", worst)
+        env._simulate()
+        _compare(env, env._judge, env._after, "memory", worst)
+    env.check()
+    return worst
+
+
+def _compare(
+    env: GpuVecEnv,
+    plain: Callable[[], Any],
+    replayed: Callable[[], Any],
+    name: str,
+    worst: Figures,
+) -> None:
+    memory = env._mutable()
+    before = [one.clone() for one in memory]
+    ends = []
+    for work in (plain, replayed):
+        for one, value in zip(memory, before, strict=True):
+            one.copy_(value)
+        with torch.no_grad():
+            told = work() or {}
+        flat = {**told, **told.get("observation", {})}
+        end = {key: flat[key].clone() for key in flat if key not in _NESTED}
+        end |= {f"{name} {i}": one.clone() for i, one in enumerate(memory)}
+        ends.append(end)
+    for key, value in ends[0].items():
+        short = name if key.startswith(name) else key
+        worst[short] = max(worst.get(short, 0.0), _difference(value, ends[1][key]))
+
+
+_NESTED = ("observation", "final_obs")
+
+
+def _difference(a: Tensor, b: Tensor) -> float:
+    if not a.is_floating_point():
+        return float((a != b).any())
+    return float((a - b).abs().nan_to_num(0.0, 0.0).max())
+
+
+def _play(env: GpuVecEnv, steps: int) -> None:
+    for _ in range(steps):
+        env.step(torch.rand_like(env._action).mul_(2.0).sub_(1.0))
+
+
+def _timed(env: GpuVecEnv, steps: int, work: Callable[[], Any]) -> float:
+    """Return the seconds that a call takes when many follow each other."""
+    with torch.no_grad():
+        work()
+        _wait(env)
+        start = time.perf_counter()
+        for _ in range(steps):
+            work()
+        _wait(env)
+    return (time.perf_counter() - start) / steps
+
+
+def _wait(env: GpuVecEnv) -> None:
+    wp.synchronize()
+    if env.device.startswith("cuda"):
+        torch.cuda.synchronize()

@@ -1,0 +1,197 @@
+"""What happens on all tables in one control step, beside the physics, in torch.
+
+Everything here can be recorded as a CUDA graph: memory stays where it is, shapes do not
+depend on data, nothing is read by the host, and indices are on the device.
+"""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from lemma.policies.control.hand_steps import Arms, advance, joints, openings
+from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.warp.draws import Draws, uniform
+from lemma.warp.signals import Signals
+from lemma.warp.worlds import Worlds
+
+JOINT_STEP_RAD = 0.1
+"""A 1 in ``delta_joint``."""
+_TOO_FAST = 1e3
+
+
+class Episodes(Worlds):
+    """Episodes on many tables: actions, signals, rewards, ends, new beginnings."""
+
+    control: str
+    reward: str
+    discount: float
+    signals: Signals
+    draws: Draws
+    lost_worlds: Tensor
+    _action: Tensor
+    _near: float
+    _share: Tensor
+    _settle: int
+    _horizon: int
+
+    def _begin(self, fresh: Tensor) -> None:
+        """Set the tables of some worlds, (n,)."""
+        n = self.num_envs
+        drawn = self.draws.draw()
+        new = drawn[:, 0] % len(self.pool.instances)
+        torch.where(fresh, new, self.instance, out=self.instance)
+        rows = {key: value[self.instance] for key, value in self._rows.items()}
+
+        def put(memory: Tensor, value: Tensor) -> None:
+            mask = fresh.view(n, *[1] * (memory.ndim - 1))
+            memory.copy_(torch.where(mask, value, memory))
+
+        self.base.copy_(rows["base"])
+        qpos = self._start(rows["qpos"], rows["base"], drawn)
+        put(self.qpos, qpos)
+        wanted = qpos[:, self.joint_at].flatten(1)
+        put(self.angle, wanted)
+        put(self._wanted, wanted)
+        ctrl = torch.zeros_like(self.ctrl)
+        ctrl[:, self._at["motors"].flatten()] = wanted
+        ctrl.index_fill_(1, self._at["grips"], FINGER_OPENING_M)
+        put(self.ctrl, ctrl)
+        for memory in (
+            *(self.qvel, self._warm, self.rate, self._awake, self._thrown),
+            *(self._age, self._settled, self.touch),
+        ):
+            memory.masked_fill_(fresh.view(n, *[1] * (memory.ndim - 1)), 0)
+        for key, memory in self._bodies.items():
+            memory[:, self._at["moved"]] = rows[key]
+        for key, memory in self._geoms.items():
+            memory[:, self._at["geoms"]] = rows[key]
+        self._gravcomp.copy_(rows["gravcomp"])
+        put(self._left[..., :2], qpos[:, self._at["free"]])
+        put(self._left[..., 2], torch.zeros_like(self._left[..., 2]))
+        self._place_hands()
+        put(self.target, self.here)
+        self.signals.look()
+
+    def _start(self, qpos: Tensor, base: Tensor, drawn: Tensor) -> Tensor:
+        """Return first states, some with robot 0's hand near the first object."""
+        if not self._near:
+            return qpos
+        name = self.pool.scene.object_names[min(s for s in self.pool.goal[0] if s >= 0)]
+        at = self.pool.scene.qpos_of(name)
+        noise = uniform(drawn[:, 1:6])
+        spot = qpos[:, None, at : at + 3] + 0.12 * (noise[:, None, :3] - 0.5)
+        spot[..., 2] = 0.03 + 0.12 * noise[:, None, 2]
+        yaw = math.tau * noise[:, None, 3:4]
+        one = Arms(*(part[:1] for part in vars(self.arms).values()))
+        joint = self.joint_at[0]
+        way = joints(torch.cat([spot, yaw], -1), base[:, :1], one, qpos[:, None, joint])
+        chosen = (noise[:, 4] < self._share) & (spot[:, 0, 2] > 0.085)
+        moved = qpos.clone()
+        moved[:, joint] = torch.where(chosen[:, None], way[:, 0], qpos[:, joint])
+        return moved
+
+    def _command(self) -> None:
+        """Set what motors are asked for by the actions in memory."""
+        n, count = self.num_envs, len(self.robots)
+        rows = self._action.view(n, count, -1)
+        now = self._wanted.view(n, count, 6)
+        if self.control == "delta_hand":
+            target = advance(self.target, rows, self.here, self.base, self.arms)
+            found = joints(target, self.base, self.arms, now)
+            # A hand that is not asked to move stays as it is.
+            still = (rows[..., :4] == 0.0).all(-1, keepdim=True)
+            now = torch.where(still, now, found)
+            self.target.copy_(target)
+            grip = openings(rows)
+        elif self.control == "delta_joint":
+            rows = rows.clamp(-1, 1)
+            now = now + JOINT_STEP_RAD * rows[..., :6]
+            grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
+        else:
+            now, grip = rows[..., :6], rows[..., 6]
+        self._wanted.copy_(now.reshape(n, -1))
+        self.ctrl[:, self._at["grips"]] = grip
+
+    def _judge(self) -> dict[str, Any]:
+        """Return what follows from the physics, after new beginnings where needed."""
+        self._age += 1
+        lost = self._drop_lost()
+        self._place_hands()
+        self.signals.look()
+        holds = self.signals.succeeds() & ~lost
+        self._settled.copy_(torch.where(holds, self._settled + 1, 0))
+        thrown = self._thrown > 0
+        success = (self._settled >= self._settle) & ~thrown
+        terminated = success | thrown
+        truncated = ((self._age >= self._horizon) | lost) & ~terminated
+        after = self.signals.potential()
+        reward = self._reward(after, success, terminated)
+        final, done = self._observe(), terminated | truncated
+        self._begin(done)
+        self.potential.copy_(torch.where(done, self.signals.potential(), after))
+        return {
+            "observation": self._observe(),
+            "reward": reward,
+            "terminated": terminated,
+            "truncated": truncated,
+            "success": success,
+            "thrown": thrown,
+            "lost": lost,
+            "instance": self.instance,
+            "final_obs": final,
+            "_final_obs": done,
+        }
+
+    def _drop_lost(self) -> Tensor:
+        """Put lost worlds where their episodes began, and count and return them, (n,).
+
+        They begin anew at the end of this step.
+        """
+        lost = ~(self.qpos.isfinite().all(1) & self.qvel.isfinite().all(1))
+        lost |= self.qvel.abs().amax(1) > _TOO_FAST
+        first = self._rows["qpos"][self.instance]
+        self.qpos.copy_(torch.where(lost[:, None], first, self.qpos))
+        self.qvel.masked_fill_(lost[:, None], 0)
+        self.touch.masked_fill_(lost[:, None, None], 0)
+        self._thrown.masked_fill_(lost, 0)
+        self.lost_worlds += lost.sum()
+        found: Tensor = lost
+        return found
+
+    def _reward(self, after: Tensor, success: Tensor, terminated: Tensor) -> Tensor:
+        won = success.float()
+        if self.reward == "sparse":
+            return won
+        if self.reward == "level":
+            return torch.where(terminated, won, (1.0 - self.discount) * after)
+        ended = torch.where(terminated, won, after)
+        return won + self.discount * ended - self.potential
+
+    def _observe(self) -> dict[str, Tensor]:
+        """Return what is observed, each (n, numbers) in the order of the robots."""
+        n, count = self.num_envs, len(self.robots)
+        fingers = self.qpos[:, self._at["fingers"]]
+        opening = fingers.sum(-1).clamp(0.0, FINGER_OPENING_M)
+        speeds = self.qvel[:, self._at["dofs"]]
+        rate = torch.cat([speeds[..., :6], speeds[..., 6:].sum(-1, keepdim=True)], -1)
+        parts = torch.cat([self.qpos[:, self.joint_at], opening[..., None]], -1)
+        return {
+            "agent_pos": parts.reshape(n, 7 * count),
+            "agent_vel": rate.reshape(n, 7 * count),
+            "goal_state": self.signals.goal_state(opening).reshape(n, -1),
+            "target": self.target.clone(),
+            "here": self.here,
+            "base": self.base.clone(),
+        }
+
+    def _mutable(self) -> list[Tensor]:
+        """Return all memory that a control step changes."""
+        return [
+            *(self.qpos, self.qvel, self.ctrl, self._warm, self.angle, self.rate),
+            *(self._wanted, self.hands, self.target, self.base, self.touch),
+            *(self._left, self._awake, self._thrown, self.instance, self._age),
+            *(self._settled, self.potential, self.lost_worlds, self.draws.state),
+            *(*self._bodies.values(), *self._geoms.values(), self._gravcomp),
+        ]
