@@ -15,7 +15,7 @@ from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
 import lemma  # noqa: E402
-from lemma.bench.worlds import measure_worlds  # noqa: E402
+from lemma.bench.worlds import measure_pictures, measure_worlds  # noqa: E402
 from lemma.policies.control.hand_steps import Arms  # noqa: E402
 from lemma.robots.ur.kinematics import forward  # noqa: E402
 from lemma.warp.draws import Draws, uniform  # noqa: E402
@@ -133,3 +133,10 @@ def test_speed_is_told_with_how_much_both_ways_differ() -> None:
     assert {"reward", "goal_state", "commands", "memory"} <= set(found["differences"])
     # On a CPU both ways are the same functions, and draw the same.
     assert set(found["differences"].values()) == {0.0}
+
+
+def test_speed_of_pictures_is_told() -> None:
+    options = {"pool": 1, "device": "cpu", "width": 16, "height": 16}
+    found = measure_pictures("lift_fixed", 2, steps=1, **options)
+    assert found["cameras"] == 2
+    assert found["images_hz"] > found["rgbd_hz"] > 0.0

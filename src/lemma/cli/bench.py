@@ -101,6 +101,8 @@ _GPU_TARGETS = {
     "physics_hz": ("physics alone", "{:,.0f}", ""),
     "outside": ("share of time outside physics", "{:.0%}", "≤ 30 %"),
     "eager_outside": ("without CUDA graphs beside physics", "{:.0%}", ""),
+    "images_hz": ("RGB-D pictures per second, 128 x 128", "{:,.0f}", "≥ 60,000"),
+    "rgbd_hz": ("control steps per second with two of them", "{:,.0f}", ""),
     "lost_worlds": ("worlds whose state was no number", "{:.0f}", "0"),
     "ready_s": ("until the first step, with compiling", "{:.0f} s", ""),
 }
@@ -284,7 +286,7 @@ def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int
 
 def _bench_gpu(names: tuple[str, ...], worlds: int, as_json: bool) -> int:
     try:
-        from lemma.bench.worlds import describe_device, measure_worlds
+        from lemma.bench.worlds import describe_device, measure_pictures, measure_worlds
     except ImportError as error:
         raise InvalidConfigError(
             f"--gpu needs {error.name}: pip install 'lemma-bench[warp]'."
@@ -295,6 +297,7 @@ def _bench_gpu(names: tuple[str, ...], worlds: int, as_json: bool) -> int:
     for name in names:
         with messages().status(f"{name}: {worlds} tables; the first time it compiles"):
             found[name] = measure_worlds(name, worlds)
+            found[name] |= measure_pictures(name, worlds)
     if as_json:
         print_json({"machine": machine, "gpu": found})
         return 0

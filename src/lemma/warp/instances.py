@@ -39,6 +39,8 @@ class Pool:
     """Bodies that stand elsewhere in each instance: bases, pads."""
     geoms: tuple[int, ...]
     """Their geoms."""
+    colors: tuple[tuple[str, ...], ...]
+    """Color of each object of the model in each instance."""
     rows: dict[str, FloatArray]
     """``qpos``, ``base`` (n, robots, 3), ``present`` (n, slots), ``body_pos``,
     ``body_quat``, ``gravcomp`` of all bodies, ``geom_xpos``, ``geom_xmat``, ``fixed``:
@@ -96,7 +98,24 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
         for key, value in _row(one, order, first, scene, moved, geoms).items():
             rows.setdefault(key, []).append(value)
     arrays = {key: np.array(value) for key, value in rows.items()}
-    return Pool(found, scene, slots, goal, moved, geoms, arrays)
+    painted = tuple(
+        _colors(one, order, objects) for one, order in zip(found, orders, strict=True)
+    )
+    return Pool(found, scene, slots, goal, moved, geoms, painted, arrays)
+
+
+def _colors(
+    instance: Instance,
+    order: dict[str, list[str]],
+    slots: Sequence[ObjectPlacement],
+) -> tuple[str, ...]:
+    """Return the color of each slot; parked objects keep any."""
+    found = {kind: iter(names) for kind, names in order.items()}
+    names = [next(found[slot.kind], None) for slot in slots]
+    return tuple(
+        slot.color if name is None else instance.scene.placement(name).color
+        for slot, name in zip(slots, names, strict=True)
+    )
 
 
 def _slots(

@@ -1,96 +1,67 @@
 """Thousands of tables at once: a Gymnasium vector environment of torch tensors."""
 
 import math
-import os
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box, Dict, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
-from lemma.core.arguments import known
 from lemma.env.control_env import SETTLE_S
 from lemma.scene.build import TIME_STEP_S
+from lemma.warp.config import CONTROLS, GpuConfig
 from lemma.warp.draws import Draws
 from lemma.warp.episodes import Episodes
 from lemma.warp.graphs import recorded_if_possible
 from lemma.warp.instances import make_pool
+from lemma.warp.pictures import Pictures
 from lemma.warp.signals import Signals
 
-CONTROLS = {"delta_hand": 5, "delta_joint": 7, "joint_position": 7}
-"""Numbers of one robot by control mode."""
-REWARDS = ("sparse", "dense", "level")
-GRAPH_VARIABLE = "LEMMA_GPU_GRAPH"
-"""Set to 0 in the environment, nothing beside the physics is a CUDA graph."""
 _CHECK_STEPS = 64
 
 
 class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
     """One task on many tables; see ``docs/gpu.md``."""
 
-    def __init__(  # noqa: PLR0913
-        self,
-        task: str,
-        num_envs: int = 4096,
-        *,
-        control: str = "delta_hand",
-        team: tuple[str, ...] | None = None,
-        reward: str = "dense",
-        reward_discount: float = 0.99,
-        control_hz: float = 10.0,
-        horizon_s: float = 100.0,
-        pool: int = 512,
-        seed: int = 0,
-        near: float = 0.0,
-        device: str | None = None,
-        graph: bool | None = None,
-    ) -> None:
+    def __init__(self, task: str, num_envs: int = 4096, **options: Any) -> None:
         """Sample instances, compile the model and capture the control step.
 
         Args:
             task: Name of a task with cubes and pads.
             num_envs: How many tables.
-            control: A name in :data:`CONTROLS`.
-            team: Arm types; the task's first team if None.
-            reward: ``"sparse"``, ``"dense"``, or ``"level"``: (1 - discount) times the
-                potential at every step, and 1 at success.
-            reward_discount: The learner's discount.
-            control_hz: Actions per second.
-            horizon_s: Simulated seconds after which an episode is truncated.
-            pool: How many instances are sampled.
-            seed: Of the instances and draws.
-            near: Share of episodes that begin with robot 0's hand near the goal's
-                first object; may be changed at any time.
-            device: ``"cuda:0"`` or ``"cpu"``; a GPU if there is one.
-            graph: Whether what is beside the physics is replayed as CUDA graphs too;
-                so on a GPU if None, unless :data:`GRAPH_VARIABLE` is 0.
+            **options: Fields of :class:`~lemma.warp.config.GpuConfig`.
 
         Raises:
-            UnknownNameError: No such task, arm, control or reward.
-            InvalidConfigError: The task is impossible here.
+            UnknownNameError: No such task, arm or option, or no such value of it.
+            InvalidConfigError: An option is impossible, or the task is here.
         """
-        known("control", control, CONTROLS)
-        known("reward", reward, REWARDS)
-        self.device = _start_warp(device)
-        self.control, self.reward = control, reward
-        self.discount, self.num_envs = reward_discount, num_envs
-        self.pool = make_pool(task, team, pool, seed)
-        self._set_times(control_hz, horizon_s)
+        self.config = config = GpuConfig.from_options(options)
+        # It would tell about every module that it loads, on the output.
+        wp.config.log_level = wp.LOG_WARNING
+        wp.init()
+        self.device, self.num_envs = config.chosen_device, num_envs
+        self.control, self.reward = config.control, config.reward
+        self.discount = config.reward_discount
+        self.pool = make_pool(task, config.team, config.pool, config.seed)
+        self._set_times(config.control_hz, config.horizon_s)
         # The instance; then five numbers for a start near the object.
-        self.draws = Draws(num_envs, 6, seed, self.device)
-        self._near, self._share = near, torch.full((), near, device=self.device)
+        self.draws = Draws(num_envs, 6, config.seed, self.device)
+        self._near = config.near
+        self._share = torch.full((), config.near, device=self.device)
         self._make_worlds()
         self.signals = Signals(self)
-        self.numbers = len(self.robots) * CONTROLS[control]
+        self.numbers = len(self.robots) * CONTROLS[self.control]
         """Numbers of an action."""
         self._action = torch.zeros(num_envs, self.numbers, device=self.device)
-        self.use_graph(
-            os.environ.get(GRAPH_VARIABLE) != "0" if graph is None else graph
-        )
+        self.use_graph(config.uses_graph)
+        self.pictures = None
+        if config.observation == "rgbd":
+            names = config.cameras or [f"{r.name}_reach" for r in self.robots]
+            self.pictures = Pictures(self, names, config.width, config.height)
         self._make_spaces()
 
     def _set_times(self, control_hz: float, horizon_s: float) -> None:
@@ -151,16 +122,16 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self._begin(torch.ones_like(self._age, dtype=torch.bool))
         self.potential.copy_(self.signals.potential())
 
+    def _seen(self, found: dict[str, Any]) -> dict[str, Any]:
+        """Return an observation with pictures, if they are asked for."""
+        return found | self.pictures.look() if self.pictures else found
+
     def _make_spaces(self) -> None:
         self.single_action_space = Box(-1.0, 1.0, (self.numbers,))
         self.action_space = Box(-1.0, 1.0, (self.num_envs, self.numbers))
-        shapes = {key: tuple(value.shape) for key, value in self._observe().items()}
-        self.observation_space = Dict(
-            {key: Box(-np.inf, np.inf, shape) for key, shape in shapes.items()}
-        )
-        self.single_observation_space = Dict(
-            {key: Box(-np.inf, np.inf, shape[1:]) for key, shape in shapes.items()}
-        )
+        found = self._seen(self._observe())
+        self.observation_space = _space(found)
+        self.single_observation_space = _space(found, 1)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -170,7 +141,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         if seed is not None:
             self.draws.seed(seed)
         self._start_all()
-        return self._observe(), {"instance": self.instance.clone()}
+        return self._seen(self._observe()), {"instance": self.instance.clone()}
 
     def sentences(self) -> list[str]:
         """Return what is asked for on each table; copies numbers from the device."""
@@ -204,18 +175,20 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         told = ("observation", "reward", "terminated", "truncated")
         info = {key: value for key, value in found.items() if key not in told}
         observation, reward, terminated, truncated = (found[key] for key in told)
-        return observation, reward, terminated, truncated, info
+        return self._seen(observation), reward, terminated, truncated, info
 
 
-def _start_warp(device: str | None) -> str:
-    # It would tell about every module that it loads, on the output.
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
-    return device or ("cuda:0" if torch.cuda.is_available() else "cpu")
-
-
-def _graph_is_wanted() -> bool:
-    return os.environ.get(GRAPH_VARIABLE) != "0"
+def _space(found: dict[str, Any], first: int = 0) -> Dict:
+    """Return the space of observations, of all tables or from another axis on."""
+    spaces: dict[str, Space[Any]] = {}
+    for key, value in found.items():
+        if isinstance(value, dict):
+            spaces[key] = _space(value, first)
+        elif value.dtype == torch.uint8:
+            spaces[key] = Box(0, 255, tuple(value.shape)[first:], np.uint8)
+        else:
+            spaces[key] = Box(-np.inf, np.inf, tuple(value.shape)[first:])
+    return Dict(spaces)
 
 
 def _copies(found: dict[str, Any]) -> dict[str, Any]:

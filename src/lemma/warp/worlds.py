@@ -10,6 +10,7 @@ from torch import Tensor
 from lemma.core.errors import PhysicsError
 from lemma.env.control.guarded_arm import SPEED_FRACTION
 from lemma.policies.control.hand_steps import Arms
+from lemma.warp.graphs import launched
 from lemma.warp.hands import hand_poses
 from lemma.warp.instances import Pool
 from lemma.warp.kernels import drive, follow, note
@@ -180,26 +181,9 @@ class Worlds:
             )  # fmt: skip
 
     def _capture(self) -> None:
-        self._graph = None
-        with wp.ScopedDevice(self.device):
-            if not self.device.startswith("cuda"):
-                return
-            self._advance()
-            with wp.ScopedCapture() as capture:
-                self._advance()
-            self._graph = capture.graph
-            wp.synchronize()
-            torch.cuda.synchronize()
-            # That step was of worlds that were not set up yet.
-            self._overflow.zero_()
-
-    def _simulate(self) -> None:
-        if self._graph is None:
-            with wp.ScopedDevice(self.device):
-                self._advance()
-        else:
-            stream = wp.stream_from_torch(torch.cuda.current_stream(self.device))
-            wp.capture_launch(self._graph, stream=stream)
+        self._simulate = launched(self._advance, self.device)
+        # What was simulated for that were worlds that were not set up yet.
+        self._overflow.zero_()
 
     def _place_hands(self) -> None:
         self.hands.copy_(hand_poses(self.qpos[:, self.joint_at], self.base, self.arms))

@@ -39,7 +39,8 @@ AUTO = "auto"
 """Stands for the fastest renderer that works here."""
 _MOST_STATES = 64
 _MOST_PIXELS = 2**22
-_VISIBLE_GROUPS = [0, 1, 2]
+VISIBLE_GROUPS = [0, 1, 2]
+"""Groups of geoms that are drawn."""
 _KEPT_CONTEXTS = 4
 """Kept on the GPU: their meshes and trees serve every scene of the same shapes."""
 _LARGEST_PX = 8192
@@ -169,7 +170,7 @@ def has_gpu() -> bool:
 
 
 @dataclass(slots=True)
-class _Poses:
+class Poses:
     """Poses in each state: the part of MuJoCo Warp's data that a launch reads."""
 
     nworld: int
@@ -290,7 +291,7 @@ class RayTracer:
         def put(array: FloatArray, kind: Any) -> Any:
             return warp.array(np.ascontiguousarray(array, np.float32), dtype=kind)
 
-        poses = _Poses(
+        poses = Poses(
             nworld=states,
             geom_xpos=put(geoms, warp.vec3),
             geom_xmat=put(turns.reshape(*turns.shape[:2], 3, 3), warp.mat33),
@@ -340,7 +341,7 @@ class RayTracer:
                 render_seg=[False] * cameras,
                 use_textures=False,
                 use_precomputed_rays=False,
-                enabled_geom_groups=_VISIBLE_GROUPS,
+                enabled_geom_groups=VISIBLE_GROUPS,
             )
             context.cam_id_map = warp.array(np.arange(cameras), dtype=int)
         self._contexts[key] = context
