@@ -63,6 +63,7 @@ def on_meta(value: Any, seen: dict[int, Any]) -> Any:
         ("lift_fixed", "delta_hand", "level", 0.5),
         ("stack", "delta_joint", "dense", 0.0),
         ("hand_over_fixed", "joint_position", "sparse", 0.0),
+        ("place_fixed", "delta_ee_pose", "dense", 0.0),
     ],
 )
 def test_a_step_beside_physics_touches_no_host(

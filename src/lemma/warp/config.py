@@ -9,7 +9,12 @@ import torch
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 
-CONTROLS = {"delta_hand": 5, "delta_joint": 7, "joint_position": 7}
+CONTROLS = {
+    "delta_hand": 5,
+    "delta_ee_pose": 7,
+    "delta_joint": 7,
+    "joint_position": 7,
+}
 """Numbers of one robot by control mode."""
 OBSERVATIONS = ("state", "rgbd")
 """``"rgbd"`` adds ``pixels`` and ``depth``, for each camera."""

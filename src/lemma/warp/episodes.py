@@ -13,6 +13,8 @@ from torch import Tensor
 from lemma.policies.control.hand_steps import Arms, advance, joints, openings
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.warp.draws import Draws, uniform
+from lemma.warp.hands import upright
+from lemma.warp.poses import moved, pose_joints
 from lemma.warp.signals import Signals
 from lemma.warp.worlds import Worlds
 
@@ -72,6 +74,7 @@ class Episodes(Worlds):
         put(self._left[..., 2], torch.zeros_like(self._left[..., 2]))
         self._place_hands()
         put(self.target, self.here)
+        put(self.aim, self.hands)
         self.signals.look()
 
     def _start(self, qpos: Tensor, base: Tensor, drawn: Tensor) -> Tensor:
@@ -88,9 +91,9 @@ class Episodes(Worlds):
         joint = self.joint_at[0]
         way = joints(torch.cat([spot, yaw], -1), base[:, :1], one, qpos[:, None, joint])
         chosen = (noise[:, 4] < self._share) & (spot[:, 0, 2] > 0.085)
-        moved = qpos.clone()
-        moved[:, joint] = torch.where(chosen[:, None], way[:, 0], qpos[:, joint])
-        return moved
+        found = qpos.clone()
+        found[:, joint] = torch.where(chosen[:, None], way[:, 0], qpos[:, joint])
+        return found
 
     def _command(self) -> None:
         """Set what motors are asked for by the actions in memory."""
@@ -105,6 +108,15 @@ class Episodes(Worlds):
             now = torch.where(still, now, found)
             self.target.copy_(target)
             grip = openings(rows)
+        elif self.control == "delta_ee_pose":
+            rows = rows.clamp(-1, 1)
+            aim = moved(self.aim, rows, self.hands)
+            found = pose_joints(aim, self.base, self.arms, now)
+            still = (rows[..., :6] == 0.0).all(-1, keepdim=True)
+            now = torch.where(still, now, found)
+            self.aim.copy_(aim)
+            self.target.copy_(upright(aim))
+            grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
         elif self.control == "delta_joint":
             rows = rows.clamp(-1, 1)
             now = now + JOINT_STEP_RAD * rows[..., :6]
@@ -191,6 +203,7 @@ class Episodes(Worlds):
         return [
             *(self.qpos, self.qvel, self.ctrl, self._warm, self.angle, self.rate),
             *(self._wanted, self.hands, self.target, self.base, self.touch),
+            self.aim,
             *(self._left, self._awake, self._thrown, self.instance, self._age),
             *(self._settled, self.potential, self.lost_worlds, self.draws.state),
             *(*self._bodies.values(), *self._geoms.values(), self._gravcomp),

@@ -48,3 +48,9 @@ def hand_poses(q: Tensor, base: Tensor, arms: Arms) -> Tensor:
     at = at + torch.cat([base[..., :2], zero[..., None]], -1)
     turn = torch.stack([x6, y6, z5], -1)
     return torch.cat([at, turn.flatten(-2)], -1)
+
+
+def upright(poses: Tensor) -> Tensor:
+    """Return x, y, z and yaw of such poses, (..., robots, 4) [m, rad]."""
+    yaw = torch.atan2(poses[..., 6], poses[..., 3])
+    return torch.cat([poses[..., :3], yaw[..., None]], -1)

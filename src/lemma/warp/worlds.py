@@ -11,7 +11,7 @@ from lemma.core.errors import PhysicsError
 from lemma.env.control.guarded_arm import SPEED_FRACTION
 from lemma.policies.control.hand_steps import Arms
 from lemma.warp.graphs import launched
-from lemma.warp.hands import hand_poses
+from lemma.warp.hands import hand_poses, upright
 from lemma.warp.instances import Pool
 from lemma.warp.kernels import drive, follow, note
 
@@ -81,7 +81,8 @@ class Worlds:
             return torch.zeros(shape, dtype=dtype, device=device)
 
         self.angle, self.rate = zeros(n, 6 * count), zeros(n, 6 * count)
-        self._wanted, self.hands = zeros(n, 6 * count), zeros(n, count, 12)
+        self._wanted = zeros(n, 6 * count)
+        self.hands, self.aim = zeros(n, count, 12), zeros(n, count, 12)
         self.target, self.base = zeros(n, count, 4), zeros(n, count, 3)
         self.touch = zeros(n, slots, 3, dtype=torch.int32)
         self._left = zeros(n, len(scene.movable_names), 3)
@@ -191,8 +192,7 @@ class Worlds:
     @property
     def here(self) -> Tensor:
         """Where the hands are: x, y, z, yaw, (n, robots, 4) [m, rad]."""
-        yaw = torch.atan2(self.hands[..., 6], self.hands[..., 3])
-        return torch.cat([self.hands[..., :3], yaw[..., None]], -1)
+        return upright(self.hands)
 
     def check(self) -> None:
         """Look whether a buffer of the physics was too small.
