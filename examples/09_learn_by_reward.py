@@ -37,8 +37,8 @@ SLOW_M, SLOWEST = 0.1, 0.2
 """To lift, steps become shorter within so much of the cube [m], down to this share."""
 STEP_M, TURN_RAD = 0.08, 0.5
 """Longest step [m, rad]."""
-DEMONSTRATIONS, CLONING_STEPS = 100, 1500
-"""Episodes of the script that are imitated, and steps of gradient descent."""
+DEMONSTRATIONS, CLONING_STEPS = 100, 15
+"""Episodes of the script that are imitated, and steps of gradient descent for each."""
 
 
 class Hand(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -152,7 +152,7 @@ def imitate(model: PPO, env: Hand, episodes: int) -> None:
     x = torch.tensor(np.array(seen), dtype=torch.float32)
     y = torch.tensor(np.array(done), dtype=torch.float32)
     optimizer = torch.optim.Adam(model.policy.parameters(), 1e-3)
-    for _ in range(CLONING_STEPS):
+    for _ in range(CLONING_STEPS * episodes):
         batch = torch.randint(len(x), (256,))
         mean = model.policy.get_distribution(x[batch]).mode()
         loss = torch.nn.functional.mse_loss(mean, y[batch])

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from clumsy import EPISODES as PLAYED
-from clumsy import FAILED, KINDS, play_clumsily
+from clumsy import FAILED, KINDS, played_clumsily
 from command import run
 from made_up import ABOUT, row
 
@@ -48,7 +48,7 @@ def kept(path: Path, rows: list[dict[str, Any]] = ROWS) -> Path:
 @pytest.fixture(scope="module")
 def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return results as a fresh checkout has them: summaries and packed lines."""
-    played = play_clumsily(tmp_path_factory.mktemp("clumsy"))
+    played = played_clumsily()
     folder = tmp_path_factory.mktemp("results")
     summary = folder / "clumsy" / "seed-0.json"
     summary.parent.mkdir()

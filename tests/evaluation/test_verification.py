@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clumsy import EPISODES, KINDS, play_clumsily
+from clumsy import EPISODES, KINDS, played_clumsily
 from command import run
 
 from lemma.core.errors import DatasetError
@@ -52,9 +52,9 @@ def one_of_each(published: Sequence[Path]) -> list[str]:
     return list(found.values())
 
 
-@pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return play_clumsily(tmp_path_factory.mktemp("honest"))
+@pytest.fixture
+def honest() -> Path:
+    return played_clumsily()
 
 
 @dataclass

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from kept import kept_folder
+
 from lemma.core.poses import Pose2
 from lemma.core.workers.pool import Serial
 from lemma.evaluation.analysis.result import summarise
@@ -49,8 +51,12 @@ class Clumsy(Oracle):
         return Decision(subtask, grounded)
 
 
-def play_clumsily(folder: Path) -> Path:
-    """Evaluate the policy on a few episodes into a folder, as the command does."""
+def played_clumsily() -> Path:
+    """Return the policy's result on a few episodes, made once; do not write there."""
+    return kept_folder("clumsy", _play)
+
+
+def _play(folder: Path) -> None:
     order = EvaluationConfig(
         out=folder,
         policy=PolicySpec("clumsy:Clumsy", timeout_s=0.0),
@@ -61,4 +67,3 @@ def play_clumsily(folder: Path) -> Path:
     )
     rows = evaluate(order, Serial())
     summarise(rows, read_about(folder), order.command()).write(folder / SUMMARY)
-    return folder

@@ -1,7 +1,7 @@
 """Expert episodes that several tests look at: each is run once and watched closely."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache
 from unittest.mock import patch
@@ -10,8 +10,12 @@ import mujoco
 import numpy as np
 from kept import kept
 
+from lemma.dataset.recipe.record import EpisodeRecorder
+from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
+from lemma.evaluation.run.watches import ClearanceWatch
 from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.together import solve_together
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.suite import SUITE, load_instance
@@ -19,6 +23,8 @@ from lemma.tasks.suite import SUITE, load_instance
 TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
 EPISODES = [(task, team) for task in SUITE for team in TEAMS]
 """One episode of every task with every team type."""
+INDEX = 3
+"""Of the test instances that :func:`played` and :func:`acted_together` play."""
 
 
 @dataclass
@@ -41,12 +47,39 @@ class Recorded:
 
     instance: Instance
     steps: tuple[ExpertStep, ...]
-    hashes: tuple[str, ...]
-    """Of the full integration state at every keyframe."""
-    success: bool
-    elapsed_s: float
+    record: EpisodeRecord
+    progress: float
+    """Of its stages."""
     replans: int
     extremes: Extremes
+
+    @property
+    def hashes(self) -> tuple[str, ...]:
+        """Of the full integration state at every keyframe."""
+        return self.record.keyframe_sha256
+
+    @property
+    def success(self) -> bool:
+        return self.record.success
+
+    @property
+    def elapsed_s(self) -> float:
+        return self.record.elapsed_s
+
+
+@dataclass(frozen=True)
+class Together:
+    """One episode of the expert in which all robots act at once."""
+
+    steps: tuple[ExpertStep, ...]
+    success: bool
+    elapsed_s: float
+    state_sha256: str
+    """At the end."""
+    waited_s: dict[str, float]
+    """How long each robot waited for a part of the table."""
+    clearance_m: float
+    """The least between two arms."""
 
 
 @dataclass
@@ -118,21 +151,41 @@ def first_instance(task: str, team: str) -> Instance:
 @kept
 def recorded(task: str, team: str) -> Recorded:
     """Return the expert's episode of the first test instance with a team type."""
-    instance = first_instance(task, team)
+    return _played(first_instance(task, team), watched=True)
+
+
+@kept
+def played(task: str) -> Recorded:
+    """Return the expert's episode of a test instance; nobody looks at its steps."""
+    return _played(load_instance(task, "test", INDEX), watched=False)
+
+
+def _played(instance: Instance, *, watched: bool) -> Recorded:
     episode = Episode(instance)
     scene = episode.simulation.scene
-    expert = Expert(scene, instance.goal)
-    hashes, steps = [scene.state_hash()], []
-    with watching(scene) as extremes:
+    expert, keeper, steps = Expert(scene, instance.goal), EpisodeRecorder(episode), []
+    keeper.keep()
+    with watching(scene) if watched else nullcontext(Extremes()) as extremes:
         for step in solve(episode, expert):
-            hashes.append(scene.state_hash())
+            keeper.keep(step)
             steps.append(step)
-    return Recorded(
-        instance,
-        tuple(steps),
-        tuple(hashes),
+    record = EpisodeRecord(**keeper.columns())
+    progress = episode.progress
+    return Recorded(instance, tuple(steps), record, progress, expert.replans, extremes)
+
+
+@kept
+def acted_together(task: str) -> Together:
+    """Return how all robots solve the instance of :func:`played` at once."""
+    episode = Episode(load_instance(task, "test", INDEX))
+    simulation = episode.simulation
+    watch = ClearanceWatch(simulation)
+    steps = tuple(solve_together(episode))
+    return Together(
+        steps,
         episode.is_success,
         episode.elapsed_s,
-        expert.replans,
-        extremes,
+        simulation.scene.state_hash(),
+        dict(simulation.reservations.times.waited_s),
+        watch.least_m,
     )

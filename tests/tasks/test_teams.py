@@ -8,16 +8,14 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from recorded_episodes import acted_together, played
 
 import lemma
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
-from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
 from lemma.evaluation.run.watches import ClearanceWatch
-from lemma.expert.expert import Expert, solve
-from lemma.expert.together import solve_together
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
@@ -178,16 +176,13 @@ def test_tables_are_those_that_the_sampler_sets(task: str) -> None:
 
 @pytest.mark.parametrize("task", FAMILIES)
 def test_the_expert_solves_it_one_at_a_time_and_together(task: str) -> None:
-    instance = load_instance(task, "test", 7)
-    alone, together = Episode(instance), Episode(instance)
-    steps = list(solve(alone, Expert(alone.simulation.scene, instance.goal)))
-    watch = ClearanceWatch(together.simulation)
-    assert all(step.result.ok for step in solve_together(together))
-    assert alone.is_success
-    assert together.is_success
-    assert len(steps) == TASKS[task].subtasks
+    alone, together = played(task), acted_together(task)
+    assert all(step.result.ok for step in together.steps)
+    assert alone.success
+    assert together.success
+    assert len(alone.steps) == TASKS[task].subtasks
     assert together.elapsed_s <= alone.elapsed_s
-    assert watch.least_m > ARMS_APART_M
+    assert together.clearance_m > ARMS_APART_M
 
 
 def test_regions_of_pairs_are_actions_at_plan_level() -> None:

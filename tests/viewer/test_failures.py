@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from browser import page_in_chromium
-from clumsy import FAILED, KINDS, play_clumsily
+from clumsy import FAILED, KINDS, played_clumsily
 from command import run as lemma
 
 from lemma.core.errors import InvalidConfigError
@@ -23,8 +23,8 @@ OTHER = "other"
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> list[Case]:
-    return cases_in(play_clumsily(tmp_path_factory.mktemp("clumsy")))
+def cases() -> list[Case]:
+    return cases_in(played_clumsily())
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from browser import Page as Browser
 from browser import page_in_chromium
-from clumsy import EPISODES, FAILED, Clumsy, play_clumsily
+from clumsy import EPISODES, FAILED, Clumsy, played_clumsily
 from command import run as lemma
 
 from lemma.core.errors import DatasetError, InvalidConfigError
@@ -23,8 +23,8 @@ from lemma.viz.replay import Replayed, expert_instead, replay_line, turn_of
 
 
 @pytest.fixture(scope="module")
-def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Case]:
-    found = cases_in(play_clumsily(tmp_path_factory.mktemp("clumsy")))
+def cases() -> dict[int, Case]:
+    found = cases_in(played_clumsily())
     assert [case.cause is None for case in found] == [False] * 2 * FAILED + [True] * 2
     return {
         case.row["index"]: case for case in found if case.name.startswith("high_level")

@@ -4,10 +4,9 @@ from collections.abc import Iterator
 
 import pytest
 from looked_at import player_of, rollout_of, session_of, until
+from recorded_episodes import INDEX, acted_together
 
 from lemma.core.poses import Pose2
-from lemma.env.episode import Episode
-from lemma.expert.together import solve_together
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.subtask import SubTask
 from lemma.tasks.suite import load_instance
@@ -17,8 +16,8 @@ from lemma.viewer.episode.team_play import TeamPlay
 from lemma.viewer.words import chart_html, order_words, team_html
 from lemma.viz.gantt import Cause, spans_of
 
-CAROUSEL = EpisodeRequest("carousel", "test", 3, policy=TOGETHER)
-INSTANCE = load_instance("carousel", "test", 3)
+CAROUSEL = EpisodeRequest("carousel", "test", INDEX, policy=TOGETHER)
+INSTANCE = load_instance("carousel", "test", INDEX)
 
 
 @pytest.fixture
@@ -39,11 +38,11 @@ def options_of(play: TeamPlay, robot: str) -> tuple[SubTask, ...]:
 def test_expert_acts_as_it_does_alone(play: TeamPlay) -> None:
     until(lambda: play.wait(0.0), play)
     assert play.status.phase is Phase.SOLVED
-    alone = Episode(INSTANCE)
-    steps = {(str(step.subtask), step.start_s) for step in solve_together(alone)}
+    alone = acted_together("carousel")
+    steps = {(str(step.subtask), step.start_s) for step in alone.steps}
     assert {(str(line.subtask), line.start_s) for line in play.status.lines} == steps
     seen = rollout_of(play).episode.simulation.scene.state_hash()
-    assert seen == alone.simulation.scene.state_hash()
+    assert seen == alone.state_sha256
     spans = spans_of(INSTANCE, play.status.lines, rollout_of(play).episode.elapsed_s)
     assert {Cause.BUSY, Cause.REGION, Cause.PREDECESSOR} <= {s.cause for s in spans}
 

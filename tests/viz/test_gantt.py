@@ -6,16 +6,15 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from recorded_episodes import INDEX, acted_together
 
 from lemma.core.seeding import ordered_sum
-from lemma.env.episode import Episode
-from lemma.expert.together import solve_together
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import load_instance
 from lemma.viz.gantt import Cause, Span, gantt_svg, spans_of
 from lemma.viz.recording import Line, Recording, record, record_together
 
-INSTANCE = load_instance("carousel", "test", 3)
+INSTANCE = load_instance("carousel", "test", INDEX)
 ROBOTS = INSTANCE.scene.robot_names
 EVIL = "<script>&\"'"
 
@@ -130,17 +129,17 @@ def test_spans_of_an_episode_are_its_lines(
 
 
 def test_waits_are_those_that_the_reservations_count(together: Recording) -> None:
-    episode = Episode(INSTANCE)
-    steps = [*solve_together(episode)]
-    assert sorted(step.start_s for step in steps) == [
+    done = acted_together("carousel")
+    assert sorted(step.start_s for step in done.steps) == [
         line.start_s for line in together.lines
     ]
-    counted = episode.simulation.reservations.times.waited_s
     spans = spans_of(INSTANCE, together.lines, together.elapsed_s)
     for robot in ROBOTS:
         held = [s for s in spans if s.robot == robot and s.cause is Cause.REGION]
         waited_s = ordered_sum(span.duration_s for span in held)
-        assert waited_s == pytest.approx(counted.get(robot, 0.0), abs=0.011 * len(held))
+        assert waited_s == pytest.approx(
+            done.waited_s.get(robot, 0.0), abs=0.011 * len(held)
+        )
     for step in together.lines:
         assert step.effect_s is not None
         assert step.end_s is not None

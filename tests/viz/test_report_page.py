@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from browser import Page, page_in_chromium
-from clumsy import EPISODES, FAILED, KINDS, play_clumsily
+from clumsy import EPISODES, FAILED, KINDS, played_clumsily
 from command import run as lemma
 
 from lemma.cli.report import ReportOptions, choose, report, within
@@ -37,8 +37,8 @@ LOST = FAILED * len(KINDS)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return play_clumsily(tmp_path_factory.mktemp("clumsy"))
+def folder() -> Path:
+    return played_clumsily()
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,10 @@ def cases(folder: Path) -> list[Case]:
 
 
 @pytest.fixture(scope="module")
-def written(folder: Path, cases: list[Case]) -> Path:
-    path = folder / "index.html"
+def written(
+    folder: Path, cases: list[Case], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    path = tmp_path_factory.mktemp("page") / "index.html"
     found = Findings(cases, {1: SEEN, 3: SEEN}, "Some were left out.")
     write_report_page(path, entries_of(read_results([folder])), found)
     return path

@@ -178,6 +178,7 @@ class SceneGeometry:
         }
         """Free places, by region: where things can be put down for each other."""
         self._gap_m = spec.gap_m
+        self._kinds = {placed.name: kind_of(placed.name) for placed in spec.objects}
         self._drags: dict[_DragKey, Drag | None] = {}
 
     @property
@@ -240,13 +241,13 @@ class SceneGeometry:
 
     def _finger_room(self, grip: Pose2, cube: str, now: SymbolicState) -> float:
         """Return the distance of the open fingers to what stands around [m]."""
-        room = math.inf
-        for side in (-1.0, 1.0):
-            finger = grip @ Pose2(0.0, side * FINGER_CENTER_M)
-            for name, pose in now.poses.items():
-                kind = kind_of(name)
-                if name in (cube, now.supports.get(cube)) or kind.height_m < _FLAT_M:
-                    continue
+        room, left_out = math.inf, (cube, now.supports.get(cube))
+        fingers = [grip @ Pose2(0.0, side * FINGER_CENTER_M) for side in (-1.0, 1.0)]
+        for name, pose in now.poses.items():
+            kind = self._kinds[name]
+            if kind.height_m < _FLAT_M or name in left_out:
+                continue
+            for finger in fingers:
                 if name == STICK:
                     gap = stick_gap(pose, finger.x, finger.y) - STICK_SECTION_M / 2
                 else:
@@ -261,7 +262,7 @@ class SceneGeometry:
         ]
         for name, pose in now.poses.items():
             if name not in (but, STICK):
-                found.append((pose.x, pose.y, kind_of(name).disc_m))
+                found.append((pose.x, pose.y, self._kinds[name].disc_m))
         return tuple(found)
 
     def margin(self, robot: str, *poses: Pose2) -> float:

@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recipes import made_up, small_recipe, write_recipe
+from recorded_episodes import played, recorded
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.files import read_json
 from lemma.dataset.files import MANIFEST, content_digest, shorten
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.recipe.record import record_episode
-from lemma.dataset.recipe.replay import (
-    differing,
-    expected_digests,
-)
+from lemma.dataset.recipe.replay import differing, expected_digests
+from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, splits_of
 from lemma.tasks.suite import LISTED, SUITE, load_instance
 from make_recipe import export
@@ -53,26 +52,34 @@ def test_digests_are_small() -> None:
     assert sum(len(entry.read_bytes()) for entry in DIGESTS.iterdir()) < 800_000
 
 
-@pytest.mark.skipif(
+on_the_same_platform = pytest.mark.skipif(
     platform.machine() != "x86_64" or platform.system() != "Linux",
     reason="other builds of MuJoCo and of the C library compute other last bits",
 )
-@pytest.mark.parametrize(
-    "lists",
-    [
-        LISTS[1::3] + OTHER_LISTS[1::3],
-        pytest.param(LISTS[::3] + LISTS[2::3], marks=pytest.mark.slow),
-    ],
-    ids=["every task", "every other list"],
-)
-def test_a_sample_is_made_again_to_the_bit(lists: list[tuple[str, str]]) -> None:
-    rng = np.random.default_rng(SEED)
-    for task, split in lists:
-        index = int(rng.integers(splits_of(task)[split]))
-        record = record_episode(load_instance(task, split, index))
-        assert record.success, record.key
-        expected = expected_digests(task, split)[index]
-        assert shorten(record.digest()) == expected, record.key
+
+
+def check(record: EpisodeRecord) -> None:
+    assert record.success, record.key
+    expected = expected_digests(record.task, record.split)[record.index]
+    assert shorten(record.digest()) == expected, record.key
+
+
+@on_the_same_platform
+@pytest.mark.parametrize("task", LISTED)
+def test_an_episode_of_every_task_is_made_again_to_the_bit(task: str) -> None:
+    done = recorded(task, "ur5+ur10") if task in SUITE else played(task)
+    check(done.record)
+
+
+@pytest.mark.slow
+@on_the_same_platform
+@pytest.mark.parametrize(("task", "split"), LISTS + OTHER_LISTS[1::3])
+def test_an_episode_of_every_list_is_made_again_to_the_bit(
+    task: str, split: str
+) -> None:
+    rng = np.random.default_rng((SEED, *f"{task}-{split}".encode()))
+    index = int(rng.integers(splits_of(task)[split]))
+    check(record_episode(load_instance(task, split, index)))
 
 
 def test_what_is_exported_is_what_was_generated(tmp_path: Path) -> None:

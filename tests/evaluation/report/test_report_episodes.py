@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from clumsy import EPISODES, FAILED, KINDS, play_clumsily
+from clumsy import EPISODES, FAILED, KINDS, played_clumsily
 from made_up import ABOUT, row, step
 
 from lemma.env.episode import Episode
@@ -17,8 +17,8 @@ from lemma.evaluation.run.replay import Watcher, differences, play_again
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return play_clumsily(tmp_path_factory.mktemp("clumsy"))
+def folder() -> Path:
+    return played_clumsily()
 
 
 @pytest.fixture(scope="module")
