@@ -1,12 +1,12 @@
-"""PPO learns to reach or to lift on thousands of tables at once.
+"""PPO learns to reach, to lift or to place on thousands of tables at once.
 
 python scripts/learn_on_a_gpu.py [TASK] [MINUTES] [WORLDS] [WEIGHTS.pt]
 
-Robot 0 acts; its hand points down and is moved step by step. The actor is saved, and
-played on the CPU by
+The robot that reaches the object acts; its hand points down and is moved step by step.
+The actor is saved, and played on the CPU by
 
 lemma evaluate --policy lemma.policies.control.hand_steps:HandPolicy \
-    --policy-args weights=WEIGHTS.pt --level control --tasks reach --out out/reach
+    --policy-args weights=WEIGHTS.pt --level control --tasks lift --out out/lift
 
 Needs: pip install "lemma-bench[warp]" torch
 """
@@ -17,21 +17,17 @@ import time
 import torch
 from torch import Tensor
 
-from lemma.policies.control.hand_steps import COLUMNS, features, network
+from lemma.policies.control.hand_steps import COLUMNS, able, features, network
 from lemma.warp.vector_env import GpuVecEnv
 
-STEPS, EPOCHS, BATCHES = 24, 4, 4
-GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.98, 0.95, 0.2, 0.003, 5e-4
-HORIZON_S = 8.0
-NEAR_AT_FIRST = 0.7
-"""To lift, so many episodes begin with the hand near the cube; later fewer."""
-
-
-def seen(observation: dict[str, Tensor]) -> Tensor:
-    """Return the features of robot 0."""
-    goal = observation["goal_state"].view(len(observation["here"]), -1, 13)
-    parts = (goal, *(observation[key] for key in ("target", "here", "base")))
-    return features(*(part[:, :1] for part in parts))[:, 0]
+STEPS, EPOCHS, BATCHES = 24, 5, 8
+GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.98, 0.95, 0.2, 0.001, 7e-4
+LOG_STD = -0.7
+HORIZON_S = {"reach": 8.0, "lift": 8.0}
+"""Length of episodes by rung [s]; other rungs have 12 s."""
+NEAR_AT_FIRST, NEAR_AT_LAST = 0.8, 0.08
+"""But for reach, so many episodes begin with a hand near a grasp; fewer as they
+succeed."""
 
 
 class Learner:
@@ -43,13 +39,22 @@ class Learner:
         self.actor, self.critic = network().to(device), network(out=1).to(device)
         with torch.no_grad():
             next(iter(self.actor[-1].parameters())).mul_(0.01)
-        self.log_std = torch.full((len(COLUMNS),), -0.5, device=device)
+        self.log_std = torch.full((len(COLUMNS),), LOG_STD, device=device)
         self.log_std.requires_grad_(True)
         self.weights = [
             *self.actor.parameters(), *self.critic.parameters(), self.log_std
         ]  # fmt: skip
         self.optimizer = torch.optim.Adam(self.weights, RATE)
-        self.x = seen(env.reset(seed=0)[0])
+        self.x, self.robot = self.seen(env.reset(seed=0)[0])
+
+    def seen(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return the features of the robots that can act, and their numbers, (n,)."""
+        n = len(observation["here"])
+        goal = observation["goal_state"].view(n, -1, 13)
+        names = ("target", "here", "base", "asked")
+        found = features(goal, *(observation[name] for name in names))
+        robot = able(goal, self.env.arms)
+        return found[torch.arange(n, device=robot.device), robot], robot
 
     def policy(self, x: Tensor) -> torch.distributions.Normal:
         """Return the distribution of actions."""
@@ -58,26 +63,24 @@ class Learner:
     @torch.no_grad()
     def collect(self) -> tuple[list[Tensor], float, int]:
         """Act; return what is learned from, the share of successes, and episodes."""
-        env, kept, solved, ended = (
-            self.env,
-            [],
-            self.x.new_zeros(()),
-            self.x.new_zeros(()),
-        )
+        env, kept = self.env, []
+        solved, ended = self.x.new_zeros(()), self.x.new_zeros(())
+        tables = torch.arange(env.num_envs, device=env.device)
         for _ in range(STEPS):
             chosen = self.policy(self.x)
             action = chosen.sample()
-            rows = action.new_zeros(env.num_envs, env.numbers)
-            rows[:, : len(COLUMNS)] = action
-            after, reward, terminated, truncated, info = env.step(rows)
+            rows = action.new_zeros(env.num_envs, len(env.robots), len(COLUMNS))
+            rows[tables, self.robot] = action
+            after, reward, terminated, truncated, info = env.step(rows.flatten(1))
             value = self.critic(self.x)[:, 0]
-            ahead = self.critic(seen(info["final_obs"]))[:, 0] * ~terminated
+            last, _ = self.seen(info["final_obs"])
+            ahead = self.critic(last)[:, 0] * ~terminated
             done = terminated | truncated
             log_p = chosen.log_prob(action).sum(1)
             kept.append((self.x, action, log_p, value, reward, ahead, done))
             solved = solved + info["success"].sum()
             ended = ended + done.sum()
-            self.x = seen(after)
+            self.x, self.robot = self.seen(after)
         gains, gain = [], torch.zeros_like(value)
         for _, _, _, value, reward, ahead, done in reversed(kept):
             gain = reward + GAMMA * ahead - value + GAMMA * LAMBDA * gain * ~done
@@ -106,32 +109,35 @@ class Learner:
                 torch.nn.utils.clip_grad_norm_(self.weights, 1.0)
                 self.optimizer.step()
                 with torch.no_grad():
-                    self.log_std.clamp_(-2.5, 0.0)
+                    self.log_std.clamp_(-2.0, 0.0)
 
 
 if __name__ == "__main__":
     defaults = ("reach_varied", "3", "4096", "hand.pt")
     given = sys.argv[1:]
     task, minutes, worlds, path = (*given, *defaults[len(given) :])
-    lifts = task.startswith("lift")
+    rung = task.split("_")[0]
+    first = 0.0 if rung == "reach" else NEAR_AT_FIRST
     env = GpuVecEnv(
-        task, int(worlds), reward="level", reward_discount=GAMMA,
-        horizon_s=HORIZON_S, near=NEAR_AT_FIRST if lifts else 0.0,
-        pool=min(512, 16 * int(worlds)),
+        task, int(worlds), reward="rise", horizon_s=HORIZON_S.get(rung, 12.0),
+        near=first, pool=min(512, 16 * int(worlds)),
     )  # fmt: skip
     learner = Learner(env)
-    start, rounds, steps = time.perf_counter(), 0, 0
+    start, rounds, steps, rate = time.perf_counter(), 0, 0, 0.0
     while (spent := time.perf_counter() - start) < 60.0 * float(minutes):
-        batch, rate, ended = learner.collect()
+        batch, found, ended = learner.collect()
         learner.learn(batch)
         rounds, steps = rounds + 1, steps + len(batch[0])
-        env.near = min(env.near, max(0.1, 1.0 - rate) * NEAR_AT_FIRST)
+        # At first only short episodes have ended.
+        rate += 0.05 * (found - rate)
+        if first:
+            env.near = max(NEAR_AT_LAST, min(env.near, (1.0 - rate) * first))
         if rounds % 10 == 1:
             std = learner.log_std.detach().exp().mean()
             print(
-                f"{steps} steps, {spent:.0f} s: {rate:.0%} of {ended} succeeded, "
-                f"potential {float(env.potential.mean()):.2f}, std {float(std):.2f}, "
-                f"lost {int(env.lost_worlds)}",
+                f"{steps} steps, {spent:.0f} s: {found:.0%} of {ended} succeeded, "
+                f"potential {float(env.potential.mean()):.2f}, near {env.near:.2f}, "
+                f"std {float(std):.2f}, lost {int(env.lost_worlds)}",
                 flush=True,
             )
             torch.save(learner.actor.state_dict(), path)

@@ -7,6 +7,7 @@ pytest.importorskip(
 )
 torch = pytest.importorskip("torch")
 
+import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 
 import lemma  # noqa: E402
@@ -31,14 +32,18 @@ def test_the_first_state_has_the_signals_of_the_cpu(env: GpuVecEnv) -> None:
     assert env.sentences() == [episode.instance.instructions["high_level"]] * 2
 
 
-def test_a_script_that_lifts_ends_in_success(env: GpuVecEnv) -> None:
+def test_a_script_that_lifts_ends_in_success_and_rises_as_on_the_cpu(
+    env: GpuVecEnv,
+) -> None:
     """The same rows of the goal state lead to the cube, and up."""
     env.near = 1.0
     observation, _ = env.reset(seed=0)
+    episode = lemma.Episode(env.pool.instances[0])
+    scene, names = episode.simulation.scene, episode.instance.scene.robot_names
     won = torch.zeros(2, dtype=torch.bool)
     for _ in range(20):
         state = observation["goal_state"].view(2, 2, 13)[:, 0]
-        way, holds = state[:, 6:9] / 0.03, state[:, 5]
+        way, holds = state[:, 6:9] / 0.02, state[:, 5]
         beside = state[:, 6:8].norm(dim=1)
         near = (beside < 0.012) & (state[:, 8].abs() < 0.012)
         way[:, 2] = torch.where(beside > 0.02, way[:, 2].clamp_min(-0.2), way[:, 2])
@@ -48,7 +53,15 @@ def test_a_script_that_lifts_ends_in_success(env: GpuVecEnv) -> None:
         rows[:, 4] = torch.where(near | (holds > 0), -1.0, 1.0)
         observation, _, _, _, info = env.step(rows.clamp(-1, 1))
         won |= info["success"]
-    assert bool(won.any())
+        scene.data.qpos[:] = env.qpos[0].numpy()
+        mujoco.mj_forward(scene.model, scene.data)
+        ours = goal_state(episode, names)
+        if ours[5] == float(observation["goal_state"][0, 5]):
+            # Contacts are those of the last step there, and of this state here.
+            assert observation["goal_state"][0].numpy() == pytest.approx(ours, abs=1e-3)
+            found = goal_potential(episode)
+            assert float(env.potential[0]) == pytest.approx(found, abs=1e-3)
+    assert bool(won.all())
     assert int(env.lost_worlds) == 0
 
 

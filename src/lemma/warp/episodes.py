@@ -4,14 +4,15 @@ Everything here can be recorded as a CUDA graph: memory stays where it is, shape
 depend on data, nothing is read by the host, and indices are on the device.
 """
 
-import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from lemma.policies.control.hand_steps import Arms, advance, joints, openings
+from lemma.policies.control.hand_starts import starts
+from lemma.policies.control.hand_steps import advance, joints, openings, pace
 from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.objects.entity import kind_of
 from lemma.warp.draws import Draws, uniform
 from lemma.warp.hands import upright
 from lemma.warp.poses import moved, pose_joints
@@ -51,14 +52,14 @@ class Episodes(Worlds):
             memory.copy_(torch.where(mask, value, memory))
 
         self.base.copy_(rows["base"])
-        qpos = self._start(rows["qpos"], rows["base"], drawn)
+        qpos, asked = self._start(rows["qpos"], rows["base"], drawn)
         put(self.qpos, qpos)
         wanted = qpos[:, self.joint_at].flatten(1)
         put(self.angle, wanted)
         put(self._wanted, wanted)
         ctrl = torch.zeros_like(self.ctrl)
         ctrl[:, self._at["motors"].flatten()] = wanted
-        ctrl.index_fill_(1, self._at["grips"], FINGER_OPENING_M)
+        ctrl[:, self._at["grips"]] = asked
         put(self.ctrl, ctrl)
         for memory in (
             *(self.qvel, self._warm, self.rate, self._awake, self._thrown),
@@ -77,23 +78,35 @@ class Episodes(Worlds):
         put(self.aim, self.hands)
         self.signals.look()
 
-    def _start(self, qpos: Tensor, base: Tensor, drawn: Tensor) -> Tensor:
-        """Return first states, some with robot 0's hand near the first object."""
+    def _start(
+        self, qpos: Tensor, base: Tensor, drawn: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return first states, some with a hand near the object, and asked openings."""
+        asked = torch.full_like(base[..., 0], FINGER_OPENING_M)
         if not self._near:
-            return qpos
-        name = self.pool.scene.object_names[min(s for s in self.pool.goal[0] if s >= 0)]
-        at = self.pool.scene.qpos_of(name)
-        noise = uniform(drawn[:, 1:6])
-        spot = qpos[:, None, at : at + 3] + 0.12 * (noise[:, None, :3] - 0.5)
-        spot[..., 2] = 0.03 + 0.12 * noise[:, None, 2]
-        yaw = math.tau * noise[:, None, 3:4]
-        one = Arms(*(part[:1] for part in vars(self.arms).values()))
-        joint = self.joint_at[0]
-        way = joints(torch.cat([spot, yaw], -1), base[:, :1], one, qpos[:, None, joint])
-        chosen = (noise[:, 4] < self._share) & (spot[:, 0, 2] > 0.085)
+            return qpos, asked
+        scene = self.pool.scene
+        name = scene.object_names[min(s for s in self.pool.goal[0] if s >= 0)]
+        at, kind = scene.qpos_of(name), kind_of(name)
+        where = qpos[:, None, at : at + 4].clone()
+        where[..., 3] = 2.0 * torch.atan2(qpos[:, at + 6], qpos[:, at + 3])[:, None]
+        if kind.grasp is not None:
+            where[..., 2] += kind.grasp.height_m - kind.origin_m
+        quarter = kind.grasp.turn_rad if kind.grasp is not None else 0.0
+        noise, angles = uniform(drawn[:, None, 1:7]), qpos[:, self.joint_at]
+        q, opening, closed, possible = starts(
+            where, quarter, base, self.arms, angles, noise[..., :5]
+        )
+        far = torch.linalg.vector_norm(where[..., :2] - base[..., :2], dim=-1)
+        first = (far / self.arms.ring[:, 1]).argmin(-1, keepdim=True)
+        chosen = possible & (noise[..., 5] < self._share)
+        chosen = chosen & (first == self._at["numbers"])
         found = qpos.clone()
-        found[:, joint] = torch.where(chosen[:, None], way[:, 0], qpos[:, joint])
-        return found
+        found[:, self.joint_at] = torch.where(chosen[..., None], q, angles)
+        fingers = found[:, self._at["fingers"]]
+        half = 0.5 * opening[..., None].expand_as(fingers)
+        found[:, self._at["fingers"]] = torch.where(chosen[..., None], half, fingers)
+        return found, torch.where(chosen, closed, asked)
 
     def _command(self) -> None:
         """Set what motors are asked for by the actions in memory."""
@@ -101,22 +114,15 @@ class Episodes(Worlds):
         rows = self._action.view(n, count, -1)
         now = self._wanted.view(n, count, 6)
         if self.control == "delta_hand":
-            target = advance(self.target, rows, self.here, self.base, self.arms)
+            target = advance(
+                self.target, rows, self.here, self.base, self.arms, self._slow
+            )
             found = joints(target, self.base, self.arms, now)
             # A hand that is not asked to move stays as it is.
             still = (rows[..., :4] == 0.0).all(-1, keepdim=True)
             now = torch.where(still, now, found)
             self.target.copy_(target)
-            grip = openings(rows)
-        elif self.control == "delta_ee_pose":
-            rows = rows.clamp(-1, 1)
-            aim = moved(self.aim, rows, self.hands)
-            found = pose_joints(aim, self.base, self.arms, now)
-            still = (rows[..., :6] == 0.0).all(-1, keepdim=True)
-            now = torch.where(still, now, found)
-            self.aim.copy_(aim)
-            self.target.copy_(upright(aim))
-            grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
+            grip = openings(rows, self.asked)
         elif self.control == "delta_joint":
             rows = rows.clamp(-1, 1)
             now = now + JOINT_STEP_RAD * rows[..., :6]
@@ -176,6 +182,10 @@ class Episodes(Worlds):
         won = success.float()
         if self.reward == "sparse":
             return won
+        if self.reward == "rise":
+            # An end by a throw costs nothing but what could have been earned later.
+            rise = torch.where(success, 1.0, after) - self.potential
+            return won + torch.where(terminated & ~success, 0.0, rise)
         if self.reward == "level":
             return torch.where(terminated, won, (1.0 - self.discount) * after)
         ended = torch.where(terminated, won, after)
@@ -184,18 +194,20 @@ class Episodes(Worlds):
     def _observe(self) -> dict[str, Tensor]:
         """Return what is observed, each (n, numbers) in the order of the robots."""
         n, count = self.num_envs, len(self.robots)
-        fingers = self.qpos[:, self._at["fingers"]]
-        opening = fingers.sum(-1).clamp(0.0, FINGER_OPENING_M)
+        opening = self.opening
+        goal = self.signals.goal_state(opening)
+        self._slow.copy_(pace(goal))
         speeds = self.qvel[:, self._at["dofs"]]
         rate = torch.cat([speeds[..., :6], speeds[..., 6:].sum(-1, keepdim=True)], -1)
         parts = torch.cat([self.qpos[:, self.joint_at], opening[..., None]], -1)
         return {
             "agent_pos": parts.reshape(n, 7 * count),
             "agent_vel": rate.reshape(n, 7 * count),
-            "goal_state": self.signals.goal_state(opening).reshape(n, -1),
+            "goal_state": goal.reshape(n, -1),
             "target": self.target.clone(),
             "here": self.here,
             "base": self.base.clone(),
+            "asked": self.asked,
         }
 
     def _mutable(self) -> list[Tensor]:
@@ -205,6 +217,7 @@ class Episodes(Worlds):
             *(self._wanted, self.hands, self.target, self.base, self.touch),
             self.aim,
             *(self._left, self._awake, self._thrown, self.instance, self._age),
-            *(self._settled, self.potential, self.lost_worlds, self.draws.state),
+            *(self._settled, self.potential, self._slow, self.lost_worlds),
+            self.draws.state,
             *(*self._bodies.values(), *self._geoms.values(), self._gravcomp),
         ]

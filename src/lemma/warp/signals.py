@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lemma.env.signals.rewards import AROUND_M, ASIDE_M, HIGH_M, SLOPE
+from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import (
     HOVER_M,
@@ -127,21 +129,46 @@ class Signals:
             over[:, 2] += self._kinds[bottom].top_m + 0.5 * HOVER_M
             return 0.9 * self._near(over)
         at, held = self.at[:, top], self.holds[:, top].any(-1)
-        lifted = (at[:, 2] - self._kinds[top].origin_m).clamp_min(0.0)
+        about = torch.where(held, 1.0, self._grip(top))
+        lifted = (at[:, 2] - self._kinds[top].origin_m).clamp(0.0, LIFTED_M) / LIFTED_M
         if bottom < 0:
-            share = 0.2 + 0.3 * lifted.clamp_max(LIFTED_M) / LIFTED_M
-            return 0.4 * self._near(at) + torch.where(held, share, 0.0)
+            return 0.5 * about + torch.where(held, 0.15 + 0.3 * lifted, 0.0)
         place, limit = self._place(pair), self._kinds[bottom].support_m or 0.0
-        beside = torch.linalg.vector_norm((at - place)[:, :2], dim=-1) <= limit
-        placed = beside & ((at - place)[:, 2].abs() <= 0.01)
-        share = 0.15 + 0.15 * lifted.clamp_max(0.1) / 0.1
-        hand = 0.2 * self._near(at) + torch.where(held, share, 0.0)
+        beside = torch.linalg.vector_norm((at - place)[:, :2], dim=-1)
+        placed = (beside <= limit) & ((at - place)[:, 2].abs() <= 0.01)
+        lifted = torch.maximum(lifted, 1.0 - beside / LIFTED_M)
+        hand = 0.25 * about + torch.where(held, 0.1 + 0.15 * lifted, 0.0)
         there = nearness(torch.linalg.vector_norm(at - place, dim=-1))
         return torch.where(placed, 0.5, hand) + 0.4 * there
 
     def _near(self, at: Tensor) -> Tensor:
         way = torch.linalg.vector_norm(self._tcp - at[:, None], dim=-1).amin(1)
         return nearness(way)
+
+    def _grip(self, slot: int) -> Tensor:
+        """Return how well the best hand is about to grasp an object, (n,)."""
+        at, turn, quarter = self._grasp(slot)
+        off = self._tcp - at[:, None]
+        if quarter:
+            turn = 2.0 * turn / quarter
+        beside = torch.linalg.vector_norm(off[..., :2], dim=-1)
+        opening = self._env.opening / FINGER_OPENING_M
+        return grip(beside, off[..., 2], turn, opening).amax(1)
+
+    def _grasp(self, slot: int) -> tuple[Tensor, Tensor, float]:
+        """Return where an object is grasped, and by how much hands are to turn."""
+        kind, at = self._kinds[slot], self.at[:, slot].clone()
+        hands = self._env.hands
+        if kind.grasp is None:
+            return at, torch.zeros_like(hands[..., 0]), 0.0
+        at[:, 2] += kind.grasp.height_m - kind.origin_m
+        w, x, y, z = self._turn[:, slot].unbind(-1)
+        yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        turn = yaw[:, None] - torch.atan2(hands[..., 6], hands[..., 3])
+        quarter = kind.grasp.turn_rad
+        if not quarter:
+            return at, torch.zeros_like(turn), 0.0
+        return at, turn - torch.round(turn / quarter) * quarter, quarter
 
     def _place(self, pair: tuple[int, int]) -> Tensor:
         top, bottom = pair
@@ -162,14 +189,8 @@ class Signals:
 
     def _of_part(self, pair: tuple[int, int], opening: Tensor) -> Tensor:
         slot = pair[1] if pair[0] < 0 else pair[0]
-        kind, here = self._kinds[slot], self.at[:, slot]
-        at = here.clone()
-        quarter = 0.0
-        if kind.grasp is not None:
-            at[:, 2] += kind.grasp.height_m - kind.origin_m
-            quarter = kind.grasp.turn_rad
-        w, x, y, z = self._turn[:, slot].unbind(-1)
-        yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        here = self.at[:, slot]
+        at, turn, _ = self._grasp(slot)
         env, hands = self._env, self._env.hands
         away = self._tcp[..., :2] - env.base[..., :2]
         reach = torch.linalg.vector_norm(away, dim=-1)
@@ -183,11 +204,6 @@ class Signals:
                 vector[..., 2] + 0.0 * a,
             ]
 
-        turn = yaw[:, None] - torch.atan2(hands[..., 6], hands[..., 3])
-        if quarter:
-            turn = turn - torch.round(turn / quarter) * quarter
-        else:
-            turn = torch.zeros_like(turn)
         axis = hands[..., 5::3]
         way = (self._place(pair) - here)[:, None].expand_as(self._tcp)
         numbers = [reach, self._tcp[..., 2], *seen(axis)[:2], opening]
@@ -199,3 +215,14 @@ def nearness(distance_m: Tensor) -> Tensor:
     """Return :func:`lemma.env.signals.rewards.nearness` of tensors."""
     coarse = 1.0 - (distance_m / 2.0).clamp_max(1.0)
     return 0.5 * coarse + 0.5 * (1.0 - torch.tanh(distance_m / 0.1))
+
+
+def grip(beside_m: Tensor, above_m: Tensor, turn: Tensor, opening: Tensor) -> Tensor:
+    """Return :func:`lemma.env.signals.rewards.grip` of tensors."""
+    way = (SLOPE * (beside_m - ASIDE_M)).clamp(0.0, HIGH_M)
+    far_m = torch.hypot(beside_m, torch.maximum(above_m, way))
+    far_m = far_m + (way - above_m).clamp_min(0.0)
+    around = (1.0 - far_m / AROUND_M).clamp_min(0.0)
+    closed = (2.0 - 2.0 * opening).clamp_max(1.0)
+    fingers = (1.0 - around) * opening + around * (1.0 + 2.0 * closed)
+    return 0.7 * nearness(far_m) * (1.0 - 0.15 * turn.abs()) + 0.1 * fingers

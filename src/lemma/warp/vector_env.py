@@ -48,8 +48,8 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self.discount = config.reward_discount
         self.pool = make_pool(task, config.team, config.pool, config.seed)
         self._set_times(config.control_hz, config.horizon_s)
-        # The instance; then five numbers for a start near the object.
-        self.draws = Draws(num_envs, 6, config.seed, self.device)
+        # The instance; then six numbers for a start near the object.
+        self.draws = Draws(num_envs, 7, config.seed, self.device)
         self._near = config.near
         self._share = torch.full((), config.near, device=self.device)
         self._make_worlds()
@@ -75,7 +75,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
     @property
     def near(self) -> float:
-        """Share of episodes that begin with robot 0's hand near the object."""
+        """Share of episodes that begin with a hand near the object."""
         return self._near
 
     @near.setter

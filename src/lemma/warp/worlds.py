@@ -10,6 +10,7 @@ from torch import Tensor
 from lemma.core.errors import PhysicsError
 from lemma.env.control.guarded_arm import SPEED_FRACTION
 from lemma.policies.control.hand_steps import Arms
+from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.warp.graphs import launched
 from lemma.warp.hands import hand_poses, upright
 from lemma.warp.instances import Pool
@@ -90,7 +91,7 @@ class Worlds:
         self.instance, self._age, self._settled = (
             zeros(n, dtype=torch.int64) for _ in range(3)
         )
-        self.potential = zeros(n)
+        self.potential, self._slow = zeros(n), zeros(n, count, 1)
 
     def _make_places(self) -> None:
         """Make indices on the device: a list would be copied to it at each use."""
@@ -100,6 +101,7 @@ class Worlds:
             "fingers": [list(r.finger_qpos) for r in robots],
             "dofs": [[*range(r.dof.start, r.dof.stop + 2)] for r in robots],
             "grips": [r.gripper_ctrl for r in robots],
+            "numbers": [*range(len(robots))],
             "motors": [[*range(r.ctrl.start, r.ctrl.stop)] for r in robots],
             "moved": list(pool.moved),
             "geoms": list(pool.geoms),
@@ -193,6 +195,19 @@ class Worlds:
     def here(self) -> Tensor:
         """Where the hands are: x, y, z, yaw, (n, robots, 4) [m, rad]."""
         return upright(self.hands)
+
+    @property
+    def opening(self) -> Tensor:
+        """Distance between the fingers of each hand, (n, robots) [m]."""
+        fingers = self.qpos[:, self._at["fingers"]]
+        found: Tensor = fingers.sum(-1).clamp(0.0, FINGER_OPENING_M)
+        return found
+
+    @property
+    def asked(self) -> Tensor:
+        """The opening that was asked of each gripper last, (n, robots) [m]."""
+        found: Tensor = self.ctrl[:, self._at["grips"]]
+        return found
 
     def check(self) -> None:
         """Look whether a buffer of the physics was too small.

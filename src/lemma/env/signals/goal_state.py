@@ -74,14 +74,9 @@ def goal_state(episode: Episode, robots: Sequence[str]) -> NDArray[np.float32]:
     scene, goal = simulation.scene, episode.instance.goal
     predicate = _present(goal, scene)
     name = predicate.bottom if isinstance(predicate, Reached) else predicate.top
-    grasp, held = kind_of(name).grasp, simulation.held()
-    here = scene.position(name)
-    target, turn_rad = scene.pose2(name), 0.0
-    at = [*here]
-    if grasp is not None:
-        target, turn_rad = target @ grasp.at, grasp.turn_rad
-        at = [target.x, target.y, here[2] + grasp.height_m - kind_of(name).origin_m]
-    way = np.subtract(place_of(predicate, scene), here)
+    held = simulation.held()
+    (*at, yaw), turn_rad = grasp_of(name, scene)
+    way = np.subtract(place_of(predicate, scene), scene.position(name))
     rows = []
     for robot in robots:
         arm = simulation.arms[robot]
@@ -89,7 +84,7 @@ def goal_state(episode: Episode, robots: Sequence[str]) -> NDArray[np.float32]:
         x, y = (tcp[:2, 3] - base[:2, 3]).tolist()
         reach = math.hypot(x, y)
         forward = (x / reach, y / reach) if reach else base[:2, 0].tolist()
-        turn = target.yaw - math.atan2(tcp[1, 0], tcp[0, 0])
+        turn = yaw - math.atan2(tcp[1, 0], tcp[0, 0])
         rows += [
             *(reach, tcp[2, 3], *_seen(tcp[:, 2], forward)[:2]),
             *(scene.opening_m(arm.robot), float(held.get(robot) == name)),
@@ -98,6 +93,24 @@ def goal_state(episode: Episode, robots: Sequence[str]) -> NDArray[np.float32]:
             *_seen(way, forward),
         ]
     return np.array(rows, np.float32)
+
+
+def grasp_of(
+    name: str, scene: Scene
+) -> tuple[tuple[float, float, float, float], float]:
+    """Return where an object is grasped.
+
+    Returns:
+        x, y, z and yaw there [m, rad]; and the turn about the vertical that makes no
+        difference, 0 if every one makes none [rad].
+    """
+    kind, (x, y, z) = kind_of(name), scene.position(name)
+    target = scene.pose2(name)
+    if kind.grasp is None:
+        return (x, y, z, target.yaw), 0.0
+    target = target @ kind.grasp.at
+    height_m = z + kind.grasp.height_m - kind.origin_m
+    return (target.x, target.y, height_m, target.yaw), kind.grasp.turn_rad
 
 
 def place_of(predicate: Predicate, scene: Scene) -> tuple[float, float, float]:

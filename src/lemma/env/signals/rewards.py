@@ -13,14 +13,17 @@ in, for learners that go on from the value of that state.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from lemma.core.registry import Registry
 from lemma.core.seeding import ordered_sum
 from lemma.env.episode import Episode
-from lemma.env.signals.goal_state import place_of
+from lemma.env.signals.goal_state import grasp_of, place_of
+from lemma.env.simulation import Simulation
+from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
-from lemma.scene.scene import Scene
 from lemma.tasks.goal import HOVER_M, LIFTED_M, Lifted, Predicate, Reached
 
 Potential = Callable[[Episode], float]
@@ -28,71 +31,105 @@ Potential = Callable[[Episode], float]
 
 _ROOM_M = 2.0
 _FINE_M = 0.1
-_LIFT_M = 0.1
 _LEVEL_M = 0.01
-_REACH, _GRASP, _LIFT, _PLACE = 0.2, 0.15, 0.15, 0.4
+AROUND_M = 0.03
+"""The fingers are around an object if they are this near to where it is grasped [m]."""
+ASIDE_M, SLOPE, HIGH_M = 0.015, 2.0, 0.06
+"""Hands come from above: farther aside than the first, so many times higher, up to
+the last [m, 1, m]."""
+_GRIP, _HOLD, _LIFT, _PLACE = 0.25, 0.1, 0.15, 0.4
 
 
 def goal_potential(episode: Episode) -> float:
     """Return the mean over the goal's conjuncts of how far each has come.
 
-    A conjunct that holds has 1. Else ``On(top, bottom)`` is the sum of
+    A conjunct that holds has 1. Else ``Reached(bottom)`` is 0.9 x how near the nearest
+    hand is to 5 cm above it. ``Lifted(top)`` is the sum of
 
-    - 0.2 x how near the nearest hand is to the top,
-    - 0.15 if a gripper holds the top,
-    - 0.15 x its height above the table while it is held, up to 10 cm,
-    - 0.4 x how near it is to its place on the bottom,
+    - 0.5 x how well a hand is about to grasp it, see :func:`grip`,
+    - 0.15 if a gripper holds it,
+    - 0.3 x its height while it is held, up to 5 cm,
 
-    and the first three count in full once it is in its place. ``Lifted(top)`` is 0.4 x
-    how near the nearest hand is, 0.2 if a gripper holds it, and 0.3 x its height while
-    it is held, up to that which the goal asks for. ``Reached(bottom)`` is 0.9 x how
-    near the nearest hand is to 5 cm above it. How near something is
-    falls with its distance, see :func:`nearness`.
+    and ``On(top, bottom)`` of 0.25, 0.1 and 0.15 times the same, where height is
+    not asked for within 5 cm of its place seen from above, and 0.4 x how near it is to
+    its place on the bottom. The first three count in full once it is in its place. How
+    near something is falls with its distance, see :func:`nearness`.
     """
     simulation = episode.simulation
-    hands = [arm.tcp_pose()[:3, 3].tolist() for arm in simulation.arms.values()]
     held = set(simulation.held().values())
     parts = [
-        1.0
-        if on.holds(simulation.scene)
-        else _advance(simulation.scene, on, hands, held)
+        1.0 if on.holds(simulation.scene) else _advance(simulation, on, held)
         for on in episode.instance.goal.conjuncts
     ]
     return ordered_sum(parts) / len(parts)
 
 
-def _advance(
-    scene: Scene, on: Predicate, hands: list[list[float]], held: set[str]
-) -> float:
-    """Return how far a conjunct has come that does not hold, in [0, 0.9]."""
+def _advance(simulation: Simulation, on: Predicate, held: set[str]) -> float:
+    """Return how far a conjunct has come that does not hold, in [0, 0.95]."""
+    scene = simulation.scene
     if isinstance(on, Reached):
         x, y, z = scene.position(on.bottom)
         over = (x, y, z + kind_of(on.bottom).top_m + 0.5 * HOVER_M)
+        hands = [arm.tcp_pose()[:3, 3].tolist() for arm in simulation.arms.values()]
         return 0.9 * nearness(min(math.dist(over, tcp) for tcp in hands))
-    if isinstance(on, Lifted):
-        at = scene.position(on.top)
-        share = 0.4 * nearness(min(math.dist(at, tcp) for tcp in hands))
-        if on.top in held:
-            height_m = min(max(at[2] - kind_of(on.top).origin_m, 0.0), LIFTED_M)
-            share += 0.2 + 0.3 * height_m / LIFTED_M
-        return share
-    top, place = scene.pose(on.top).position, place_of(on, scene)
     upper = kind_of(on.top)
+    top, holds = scene.position(on.top), on.top in held
+    about = 1.0 if holds else _best_grip(simulation, on.top)
+    height = min(max(top[2] - upper.origin_m, 0.0), LIFTED_M) / LIFTED_M
+    if isinstance(on, Lifted):
+        return 0.5 * about + (0.15 + 0.3 * height if holds else 0.0)
+    place = place_of(on, scene)
+    hand, beside = _GRIP * about, math.dist(top[:2], place[:2])
     if _is_placed(top, place, kind_of(on.bottom).support_m or 0.0):
-        hand = _REACH + _GRASP + _LIFT
-    else:
-        hand = _REACH * nearness(min(math.dist(top, tcp) for tcp in hands))
-        if on.top in held:
-            lifted_m = min(max(top[2] - upper.origin_m, 0.0), _LIFT_M)
-            hand += _GRASP + _LIFT * lifted_m / _LIFT_M
+        hand = _GRIP + _HOLD + _LIFT
+    elif holds:
+        hand += _HOLD + _LIFT * max(height, 1.0 - beside / LIFTED_M)
     return hand + _PLACE * nearness(math.dist(top, place))
 
 
 def _is_placed(
-    top: tuple[float, ...], place: tuple[float, ...], support_m: float
+    top: Sequence[float], place: tuple[float, ...], support_m: float
 ) -> bool:
     beside = math.dist(top[:2], place[:2])
     return beside <= support_m and abs(top[2] - place[2]) <= _LEVEL_M
+
+
+def _best_grip(simulation: Simulation, name: str) -> float:
+    """Return how well the best hand is about to grasp an object."""
+    scene = simulation.scene
+    at, turn_rad = grasp_of(name, scene)
+    found = 0.0
+    for arm in simulation.arms.values():
+        tcp = arm.tcp_pose()
+        x, y, z = np.subtract(tcp[:3, 3], at[:3]).tolist()
+        turn = at[3] - math.atan2(tcp[1, 0], tcp[0, 0])
+        turn = 2.0 * math.remainder(turn, turn_rad) / turn_rad if turn_rad else 0.0
+        opening = scene.opening_m(arm.robot) / FINGER_OPENING_M
+        found = max(found, grip(math.hypot(x, y), z, turn, opening))
+    return found
+
+
+def grip(beside_m: float, above_m: float, turn: float, opening: float) -> float:
+    """Return how well a hand is about to grasp an object, in [0, 1].
+
+    It is to come from above, so that its fingers do not push the object: its way leads
+    over the object to where that is grasped. On this way it gains by being near, by
+    being turned as the object is, and by open fingers; around the object, by closed
+    ones.
+
+    Args:
+        beside_m: Distance of the tool centre point from where the object is grasped,
+            seen from above [m].
+        above_m: How much higher it is [m].
+        turn: By how much it is turned wrongly, as a share of the most, in [-1, 1].
+        opening: Of the fingers, as a share of the widest.
+    """
+    way = min(max(SLOPE * (beside_m - ASIDE_M), 0.0), HIGH_M)
+    far_m = math.hypot(beside_m, max(above_m, way)) + max(way - above_m, 0.0)
+    around = max(0.0, 1.0 - far_m / AROUND_M)
+    closed = min(1.0, 2.0 - 2.0 * opening)
+    fingers = (1.0 - around) * opening + around * (1.0 + 2.0 * closed)
+    return 0.7 * nearness(far_m) * (1.0 - 0.15 * abs(turn)) + 0.1 * fingers
 
 
 def nearness(distance_m: float) -> float:

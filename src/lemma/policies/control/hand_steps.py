@@ -2,20 +2,25 @@
 
 A row has five numbers in [-1, 1] for each robot: forward, left, up, turn, fingers.
 *Forward* is horizontally away from the axis of the robot's base, *left* is to the left
-of that. Fingers are open above 0, closed below. The same functions move thousands of
-hands on a GPU, in :mod:`lemma.warp`, and one on the CPU, in :class:`HandPolicy`.
+of that. *Fingers* is by how much they are to be opened, or closed: what is asked of
+them stays, so a policy that hesitates does not let go. An empty hand makes shorter
+steps near its object, so that it does not knock it away. The same functions move
+thousands of hands on a GPU, in :mod:`lemma.warp`, and one on the CPU, in
+:class:`Hand`.
 
 Targets are (x, y, z, yaw) of tool centre points in the world, (..., robots, 4); bases
 (x, y, yaw), (..., robots, 3) [m, rad].
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.poses import matrix_from_quaternion
@@ -30,15 +35,24 @@ from lemma.robots.ur.kinematics import forward
 
 COLUMNS = ("forward", "left", "up", "turn", "fingers")
 CONTROL_HZ = 10.0
-STEP_M, TURN_RAD = 0.03, 0.25
-"""Longest step along each axis, and about the vertical [m, rad]."""
+STEP_M, TURN_RAD, GRIP_M = 0.03, 0.25, 0.025
+"""Longest step along each axis, about the vertical, and of the opening [m, rad]."""
+SLOW_M, SLOWEST = 0.1, 0.3
+"""Within so much of where its object is grasped [m] an empty hand makes shorter steps,
+down to this share: a fast one knocks things away."""
 LOWEST_M, HIGHEST_M = 0.016, 0.5
 """Least and largest height of a target: fingertips stay above the table."""
-_UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
+UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
+"""Divisors of the numbers of a goal state."""
 _NEAR_M = 0.05
 _NEAR = (NUMBERS.index("object_forward"), NUMBERS.index("place_forward"))
-FEATURES = len(NUMBERS) + 6 + 4
-"""Numbers that a policy is given for one robot."""
+FEATURE_NAMES = (
+    *NUMBERS,
+    *(f"{part}_{way}_nearby" for part in ("object", "place") for way in COLUMNS[:3]),
+    *(f"lead_{column}" for column in COLUMNS),
+)
+"""What each number is that a policy is given for one robot; see :func:`features`."""
+FEATURES = len(FEATURE_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +120,20 @@ def joints(target: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
     return torch.where(turned.abs() > math.tau, found, turned)
 
 
+def pace(goal_state: Tensor) -> Tensor:
+    """Return how long steps are near the goal's object, as shares, (..., robots, 1).
+
+    Args:
+        goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
+    """
+    at = _NEAR[0]
+    far = torch.linalg.vector_norm(goal_state[..., at : at + 3], dim=-1, keepdim=True)
+    holds = goal_state[..., NUMBERS.index("holds") :][..., :1] > 0.5
+    return torch.where(holds, 1.0, (far / SLOW_M).clamp(SLOWEST, 1.0))
+
+
 def advance(
-    target: Tensor, rows: Tensor, here: Tensor, base: Tensor, arms: Arms
+    target: Tensor, rows: Tensor, here: Tensor, base: Tensor, arms: Arms, slow: Tensor
 ) -> Tensor:
     """Return the next targets.
 
@@ -117,8 +143,9 @@ def advance(
         here: Where the hands are, like targets.
         base: Of the robots.
         arms: Their arms.
+        slow: How long their steps are; see :func:`pace`.
     """
-    rows = rows.clamp(-1.0, 1.0)
+    rows = slow * rows.clamp(-1.0, 1.0)
     away = here[..., :2] - base[..., :2]
     ahead = away / torch.linalg.vector_norm(away, dim=-1, keepdim=True).clamp_min(1e-6)
     left = torch.stack([-ahead[..., 1], ahead[..., 0]], -1)
@@ -143,51 +170,122 @@ def wrapped(angle: Tensor) -> Tensor:
     return torch.remainder(angle + math.pi, math.tau) - math.pi
 
 
-def openings(rows: Tensor) -> Tensor:
-    """Return the openings of grippers that rows ask for, (..., robots) [m]."""
-    return FINGER_OPENING_M * (rows[..., 4] > 0.0)
+def openings(rows: Tensor, asked: Tensor) -> Tensor:
+    """Return the openings that are asked of grippers next, (..., robots) [m].
+
+    Args:
+        rows: Actions, (..., robots, 5).
+        asked: The last ones.
+    """
+    wanted = asked + GRIP_M * rows[..., 4].clamp(-1.0, 1.0)
+    return wanted.clamp(0.0, FINGER_OPENING_M)
 
 
-def features(goal_state: Tensor, target: Tensor, here: Tensor, base: Tensor) -> Tensor:
+def features(
+    goal_state: Tensor, target: Tensor, here: Tensor, base: Tensor, asked: Tensor
+) -> Tensor:
     """Return what a policy is given of each hand, (..., robots, FEATURES).
 
     The goal state in units of about 1, its two ways once more, magnified nearby, and
-    how far the target is ahead of the hand, in steps.
+    how far what is asked for is ahead of the hand and its fingers, in steps.
 
     Args:
         goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
         target: Of the hands.
         here: Where they are.
         base: Of the robots.
+        asked: Openings that were asked of their grippers last, (..., robots) [m].
     """
     near = [torch.tanh(goal_state[..., at : at + 3] / _NEAR_M) for at in _NEAR]
     away = here[..., :2] - base[..., :2]
     x, y = (away / torch.linalg.vector_norm(away, dim=-1, keepdim=True)).unbind(-1)
     lead = (target - here)[..., :3] / STEP_M
-    flat = torch.stack(
+    opening = goal_state[..., NUMBERS.index("opening")]
+    ahead = torch.stack(
         [
             x * lead[..., 0] + y * lead[..., 1],
             x * lead[..., 1] - y * lead[..., 0],
             lead[..., 2],
             wrapped(target[..., 3] - here[..., 3]) / TURN_RAD,
+            (asked - opening) / GRIP_M,
         ],
         -1,
     )
-    units = torch.tensor(_UNITS, device=goal_state.device)
-    return torch.cat([goal_state / units, *near, flat], -1)
+    units = torch.tensor(UNITS, device=goal_state.device)
+    return torch.cat([goal_state / units, *near, ahead], -1)
 
 
-def network(hidden: int = 128, out: int = len(COLUMNS)) -> torch.nn.Sequential:
+def able(goal_state: Tensor, arms: Arms) -> Tensor:
+    """Return the number of the robot that reaches the goal's object, (...).
+
+    Where several do, it is the one that has to stretch least.
+
+    Args:
+        goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
+        arms: The robots' arms.
+    """
+    ahead = goal_state[..., 0] + goal_state[..., _NEAR[0]]
+    far = torch.hypot(ahead, goal_state[..., _NEAR[0] + 1])
+    return (far / arms.ring[:, 1]).argmin(-1)
+
+
+def network(
+    hidden: int = 128, out: int = len(COLUMNS), numbers: int = FEATURES
+) -> torch.nn.Sequential:
     """Return a small network from the features of one hand to its row."""
     return torch.nn.Sequential(
-        torch.nn.Linear(FEATURES, hidden), torch.nn.ELU(),
+        torch.nn.Linear(numbers, hidden), torch.nn.ELU(),
         torch.nn.Linear(hidden, hidden), torch.nn.ELU(),
         torch.nn.Linear(hidden, out),
     )  # fmt: skip
 
 
+class Hand:
+    """One hand of an episode on the CPU; the other robots stand still."""
+
+    def __init__(self, seen: Mapping[str, Any], asked_m: float | None = None) -> None:
+        """Begin: it is the hand of the robot that reaches the goal's object.
+
+        Args:
+            seen: An observation ``"goal_state"`` of the control level.
+            asked_m: Opening that was asked of its fingers, where they are else [m].
+        """
+        parts = np.asarray(seen["agent_pos"], np.float32).reshape(-1, 7)
+        heights = hands_of(seen["tcp_pose"])[:, 2]
+        names = [_arm_of(row[:6], z) for row, z in zip(parts, heights, strict=True)]
+        goal = torch.tensor(seen["goal_state"]).reshape(len(names), -1)
+        self.robot = int(able(goal, Arms.of(names)))
+        """Number of the robot."""
+        self._arms, self._one = Arms.of([names[self.robot]]), [self.robot]
+        self._rows = parts.copy()
+        if asked_m is not None:
+            self._rows[self.robot, 6] = asked_m
+        self._target = hands_of(seen["tcp_pose"])[self._one]
+
+    def look(self, seen: Mapping[str, Any]) -> Tensor:
+        """Take an observation; return the features of this hand, (1, FEATURES)."""
+        self._here = hands_of(seen["tcp_pose"])[self._one]
+        self._base = hands_of(seen["base_pose"])[self._one][:, [0, 1, 3]]
+        goal = torch.tensor(seen["goal_state"]).reshape(len(self._rows), -1)
+        goal = goal[self._one]
+        self._slow = pace(goal)
+        self._asked = torch.from_numpy(self._rows[self._one, 6])
+        return features(goal, self._target, self._here, self._base, self._asked)
+
+    def command(self, row: Tensor) -> NDArray[np.float32]:
+        """Return joint positions and openings of all robots after a row, (1, 5)."""
+        arms, base = self._arms, self._base
+        target = advance(self._target, row, self._here, base, arms, self._slow)
+        near = torch.from_numpy(self._rows[self._one, :6])
+        self._rows = self._rows.copy()
+        self._rows[self.robot, :6] = joints(target, base, arms, near)[0].numpy()
+        self._rows[self.robot, 6] = float(openings(row, self._asked)[0])
+        self._target = target
+        return self._rows
+
+
 class HandPolicy:
-    """Plays a learned network on the CPU; robot 0 acts, the others stand still.
+    """Plays a learned network on the CPU; one robot acts, the others stand still.
 
     It is told the truth by the goal state, so it is no fair comparison, and it does not
     read the sentence.
@@ -207,7 +305,8 @@ class HandPolicy:
             weights: File of the state of a :func:`network`, by ``torch.save``.
         """
         state = torch.load(weights, weights_only=True, map_location="cpu")
-        self.actor = network(len(state["0.bias"]))
+        hidden, self._numbers = state["0.weight"].shape
+        self.actor = network(hidden, numbers=self._numbers)
         self.actor.load_state_dict(state)
 
     @torch.no_grad()
@@ -217,27 +316,14 @@ class HandPolicy:
 
     def _act(self, given: ControlInput) -> Actions:
         seen = given.observation
-        count = len(given.robots)
-        parts = np.asarray(seen["agent_pos"], np.float32).reshape(count, 7)
-        here, base = _hands(seen["tcp_pose"]), _hands(seen["base_pose"])[:, [0, 1, 3]]
-        if given.memory is None:
-            name = _arm_of(parts[0, :6], here[0, 2])
-            rows = parts.copy()
-            target = here[:1]
-        else:
-            name, target, rows = given.memory
-        arms = Arms.of([name])
-        goal = torch.tensor(seen["goal_state"]).reshape(count, -1)[:1]
-        row = self.actor(features(goal, target, here[:1], base[:1]))
-        target = advance(target, row, here[:1], base[:1], arms)
-        rows = rows.copy()
-        near = torch.from_numpy(rows[:1, :6].copy())
-        rows[0, :6] = joints(target, base[:1], arms, near)[0].numpy()
-        rows[0, 6] = float(openings(row)[0])
-        return Actions(rows, (name, target, rows))
+        # A memory is never changed: an episode may be played on from it twice.
+        hand = Hand(seen) if given.memory is None else copy(given.memory)
+        # Older networks know nothing of the last numbers.
+        row = self.actor(hand.look(seen)[:, : self._numbers])
+        return Actions(hand.command(row), hand)
 
 
-def _hands(poses: Any) -> Tensor:
+def hands_of(poses: Any) -> Tensor:
     """Return (x, y, z, yaw) of poses with quaternions, (robots, 4)."""
     found = []
     for row in np.asarray(poses, float).reshape(-1, 7):
