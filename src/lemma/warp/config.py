@@ -33,8 +33,8 @@ class GpuConfig:
     """Arm types; the task's first team if None."""
     reward: str = "dense"
     """``"sparse"``, ``"dense"``, or ``"level"``: (1 - discount) times the potential at
-    every step, and 1 at success; or ``"rise"``: what the potential rises by, nothing where
-    something is thrown, and 1 at success."""
+    every step, and 1 at success; or ``"rise"``: what the potential rises by, nothing
+    where something is thrown, and 1 at success."""
     reward_discount: float = 0.99
     """The learner's discount."""
     control_hz: float = 10.0
@@ -46,8 +46,8 @@ class GpuConfig:
     seed: int = 0
     """Of the instances and draws."""
     near: float = 0.0
-    """Share of episodes that begin with a hand over the goal's first object, around it or
-    closed on it."""
+    """Share of episodes that begin with a hand over the goal's first object, around it
+    or closed on it."""
     observation: str = "state"
     """A name in :data:`OBSERVATIONS`."""
     cameras: tuple[str, ...] | None = None
