@@ -123,6 +123,15 @@ class Episodes(Worlds):
             now = torch.where(still, now, found)
             self.target.copy_(target)
             grip = openings(rows, self.asked)
+        elif self.control == "delta_ee_pose":
+            rows = rows.clamp(-1, 1)
+            aim = moved(self.aim, rows, self.hands)
+            found = pose_joints(aim, self.base, self.arms, now)
+            still = (rows[..., :6] == 0.0).all(-1, keepdim=True)
+            now = torch.where(still, now, found)
+            self.aim.copy_(aim)
+            self.target.copy_(upright(aim))
+            grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
         elif self.control == "delta_joint":
             rows = rows.clamp(-1, 1)
             now = now + JOINT_STEP_RAD * rows[..., :6]
