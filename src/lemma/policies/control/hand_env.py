@@ -16,8 +16,8 @@ import torch
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-import lemma
 from lemma.core.arguments import real
+from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.signals.goal_state import grasp_of
 from lemma.policies.control.hand_starts import starts
@@ -62,13 +62,12 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
             UnknownNameError: No such task or split.
             InvalidConfigError: The share is out of range.
         """
-        inner = lemma.make(
-            task, split=split, observation="goal_state", control="joint_position",
+        config = EnvConfig(
+            task=task, split=split, observation="goal_state", control="joint_position",
             control_hz=CONTROL_HZ, clip_actions=True, reward="dense",
             reward_discount=1.0, horizon_s=horizon_s,
         )  # fmt: skip
-        assert isinstance(inner, ControlEnv)
-        self.lemma, self.near = inner, real("near", near, 0.0, 1.0)
+        self.lemma, self.near = ControlEnv(config), real("near", near, 0.0, 1.0)
         self.action_space = Box(-1.0, 1.0, (len(COLUMNS),))
         self.observation_space = Box(-np.inf, np.inf, (FEATURES,))
 
