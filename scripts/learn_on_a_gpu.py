@@ -20,7 +20,7 @@ from torch import Tensor
 from lemma.policies.control.hand_steps import COLUMNS, able, features, network
 from lemma.warp.vector_env import GpuVecEnv
 
-STEPS, EPOCHS, BATCHES = 24, 5, 8
+STEPS, EPOCHS, BATCHES = 24, 5, 16
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.98, 0.95, 0.2, 0.001, 7e-4
 LOG_STD = -0.7
 HORIZON_S = {"reach": 8.0, "lift": 8.0}
