@@ -146,25 +146,19 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 from lemma.cli.main import main
-main(sys.argv[1:])
+for policy in ("reachnt", "reachnet"):
+    try:
+        main(["evaluate", "--policy", policy, *sys.argv[1:]])
+    except SystemExit as end:
+        print(end.code)
 """
 
 
-@pytest.mark.parametrize(
-    ("policy", "words"),
-    [
-        ("reachnt", "Did you mean 'reachnet'?"),
-        ("reachnet", "'lemma-bench[learn]'"),
-    ],
-)
-def test_a_misspelled_policy_is_understood_without_torch(
-    policy: str, words: str, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    line = ["evaluate", "--policy", policy, "--out", str(out), "--episodes", "1"]
-    done = python("-c", WITHOUT_TORCH, *line)
-    assert done.returncode == 2
-    assert words in done.stderr
+def test_a_misspelled_policy_is_understood_without_torch(tmp_path: Path) -> None:
+    done = python("-c", WITHOUT_TORCH, "--out", tmp_path / "out", "--episodes", "1")
+    assert done.stdout == "2\n2\n"
+    misspelled, _ = done.stderr.split("'lemma-bench[learn]'")
+    assert "Did you mean 'reachnet'?" in misspelled
     assert "Traceback" not in done.stderr
 
 

@@ -189,7 +189,7 @@ def run_alone(simulation: Simulation, subtask: GroundedSubTask) -> None:
         simulation.tick((subtask.robot,))
 
 
-@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook"))
+@pytest.mark.parametrize("task", slow_but(SUITE, "poke"))
 def test_begin_and_advance_give_the_states_of_a_plain_loop(task: str) -> None:
     """Also where time passes in pieces, and another robot's turn comes at once."""
     instance = first_instance(task, "ur5+ur10")

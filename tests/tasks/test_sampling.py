@@ -9,6 +9,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from lemma.core.errors import SamplingError
 from lemma.core.poses import Pose2
@@ -76,9 +77,21 @@ def outline(placed: ObjectPlacement) -> list[tuple[float, float]]:
     return points
 
 
+def extent(rim: NDArray[np.float64]) -> float:
+    """How far from its middle a rim goes [m]."""
+    return float(np.linalg.norm(rim - rim.mean(0), axis=1).max())
+
+
 def gap(a: ObjectPlacement, b: ObjectPlacement) -> float:
-    """The least distance between two rims [m]; they are never one in the other."""
+    """The least distance between two rims [m]; they are never one in the other.
+
+    Of two that are far apart, a lower bound.
+    """
     first, second = np.array(outline(a)), np.array(outline(b))
+    middles = first.mean(0), second.mean(0)
+    apart = math.dist(*middles) - extent(first) - extent(second)
+    if apart > 0.1:
+        return apart
     between = first[:, None] - second[None]
     return float(np.hypot(between[..., 0], between[..., 1]).min())
 

@@ -81,7 +81,7 @@ def test_rewards_of_an_environment_telescope(level: str) -> None:
     assert total == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook"))
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack"))
 def test_potential_rises_along_the_experts_episode(task: str) -> None:
     env = make(task, level="plan")
     expert = lemma.ExpertPolicy(env)
