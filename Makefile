@@ -97,7 +97,7 @@ $(LEROBOT_VENV)/stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
 # Only parity with MuJoCo Warp needs it (0.5 GB, and torch); a CPU will do.
 WARP_VENV := .venv-warp
 
-test-warp: $(WARP_VENV)/stamp ## MuJoCo Warp sees and does what the CPU does.
+test-warp: $(WARP_VENV)/stamp ## MuJoCo Warp sees and does what the CPU does; learners take it.
 	$(WARP_VENV)/bin/python -m pytest -q -p no:cacheprovider \
 		tests/scene/test_ray_tracer.py tests/gpu
 
@@ -105,7 +105,7 @@ $(WARP_VENV)/stamp: pyproject.toml constraints.txt
 	@echo "Installing MuJoCo Warp into $(WARP_VENV) ..."
 	@$(PYTHON) -m venv --clear $(WARP_VENV)
 	@$(WARP_VENV)/bin/python -m pip install -qq -c constraints.txt -e '.[warp]' \
-		hypothesis pytest
+		hypothesis pytest 'skrl==2.1.1' 'rsl-rl-lib==5.5.1'
 
 # vla-eval is needed for its own test alone (1.3 GB).
 VLA_EVAL_VENV := .venv-vla-eval

@@ -10,8 +10,13 @@ pytest.importorskip(
 from torch import Tensor  # noqa: E402
 
 from lemma.policies.control.hand_steps import Arms  # noqa: E402
-from lemma.warp.hands import hand_poses  # noqa: E402
-from lemma.warp.poses import STEP_M, TURN_RAD, moved, pose_joints  # noqa: E402
+from lemma.warp.hands import (  # noqa: E402
+    STEP_M,
+    TURN_RAD,
+    hand_poses,
+    moved,
+    pose_joints,
+)
 from lemma.warp.vector_env import GpuVecEnv  # noqa: E402
 
 NAMES = ["ur5", "ur10"]

@@ -14,8 +14,7 @@ from lemma.policies.control.hand_steps import advance, joints, openings, pace
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
 from lemma.warp.draws import Draws, uniform
-from lemma.warp.hands import upright
-from lemma.warp.poses import moved, pose_joints
+from lemma.warp.hands import moved, pose_joints, upright
 from lemma.warp.signals import Signals
 from lemma.warp.worlds import Worlds
 

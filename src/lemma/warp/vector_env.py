@@ -57,6 +57,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self.numbers = len(self.robots) * CONTROLS[self.control]
         """Numbers of an action."""
         self._action = torch.zeros(num_envs, self.numbers, device=self.device)
+        self._make_texts()
         self.use_graph(config.uses_graph)
         self.pictures = None
         if config.observation == "rgbd":
@@ -126,6 +127,15 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         """Return an observation with pictures, if they are asked for."""
         return found | self.pictures.look() if self.pictures else found
 
+    def _make_texts(self) -> None:
+        told = [one.instructions["high_level"] for one in self.pool.instances]
+        self._texts = tuple(dict.fromkeys(told))
+        places = [self._texts.index(text) for text in told]
+        self._sentence = torch.tensor(places, device=self.device)
+
+    def _told(self) -> Tensor:
+        return self._sentence[self.instance]
+
     def _make_spaces(self) -> None:
         self.single_action_space = Box(-1.0, 1.0, (self.numbers,))
         self.action_space = Box(-1.0, 1.0, (self.num_envs, self.numbers))
@@ -141,12 +151,17 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         if seed is not None:
             self.draws.seed(seed)
         self._start_all()
-        return self._seen(self._observe()), {"instance": self.instance.clone()}
+        info = {"instance": self.instance.clone(), "sentence": self._told()}
+        return self._seen(self._observe()), info
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """All sentences of the pool; ``info["sentence"]`` has places in it."""
+        return self._texts
 
     def sentences(self) -> list[str]:
         """Return what is asked for on each table; copies numbers from the device."""
-        found = self.pool.instances
-        return [found[i].instructions["high_level"] for i in self.instance.tolist()]
+        return [self._texts[i] for i in self._sentence[self.instance].tolist()]
 
     @torch.no_grad()
     def step(
@@ -159,7 +174,8 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
         Returns:
             Observations, rewards, terminated, truncated, and info: ``success`` and
-            ``thrown`` of episodes that end, ``final_obs``, ``instance``.
+            ``thrown`` of episodes that end, ``final_obs``, and the numbers of the
+            ``instance`` and its ``sentence`` (:attr:`texts`).
 
         Raises:
             PhysicsError: A buffer of contacts or constraints was too small.
@@ -174,6 +190,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
             self.check()
         told = ("observation", "reward", "terminated", "truncated")
         info = {key: value for key, value in found.items() if key not in told}
+        info["sentence"] = self._told()
         observation, reward, terminated, truncated = (found[key] for key in told)
         return self._seen(observation), reward, terminated, truncated, info
 

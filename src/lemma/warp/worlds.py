@@ -45,8 +45,8 @@ class Worlds:
             self.data = mjw.make_data(
                 scene.model,
                 nworld=n,
-                nconmax=32 + 16 * movable,
-                njmax=96 + 64 * movable,
+                nconmax=16 * (len(self.robots) + movable),
+                njmax=48 * len(self.robots) + 64 * movable,
             )
         self._rows = {
             key: torch.tensor(value, dtype=torch.float32, device=self.device)

@@ -1,0 +1,148 @@
+"""Many tables in the forms that libraries of learners take.
+
+:class:`RobotsEnv` is a dictionary of tensors per robot, as multi-agent learners of skrl
+take it (``wrap_env(env, "isaaclab-multi-agent")``); :class:`RunnerEnv` is the vector
+environment of rsl_rl. Both show the same numbers of each robot, :func:`rows_of`.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from torch import Tensor
+
+from lemma.warp.vector_env import GpuVecEnv
+
+KEYS = ("agent_pos", "agent_vel", "goal_state", "target", "here", "base")
+"""Parts of an observation that are numbers of robots, in the order of rows."""
+
+
+def rows_of(observation: Mapping[str, Tensor], robots: int) -> Tensor:
+    """Return the numbers that each robot is given, (n, robots, numbers).
+
+    Args:
+        observation: Of a :class:`GpuVecEnv`.
+        robots: How many there are.
+    """
+    n = len(observation["here"])
+    return torch.cat([observation[key].view(n, robots, -1) for key in KEYS], -1)
+
+
+class RobotsEnv:
+    """A robot is an agent: dictionaries of tensors, by the robots' names.
+
+    All robots have the team's reward, and end together. The state, for a critic of all,
+    is what all of them are given, one after the other.
+    """
+
+    def __init__(self, env: GpuVecEnv) -> None:
+        """Take an environment, which is played in by this one from now on."""
+        self.env = env
+        self.agents = [robot.name for robot in env.robots]
+        self.possible_agents = list(self.agents)
+        self.num_agents = self.max_num_agents = len(self.agents)
+        self.num_envs, self.device = env.num_envs, torch.device(env.device)
+        self._rows = self._show(env.reset()[0])
+        numbers = self._rows.shape[-1]
+        actions = env.numbers // self.num_agents
+        self.observation_spaces = {
+            name: Box(-np.inf, np.inf, (numbers,)) for name in self.agents
+        }
+        self.action_spaces = {name: Box(-1.0, 1.0, (actions,)) for name in self.agents}
+        self.state_space = Box(-np.inf, np.inf, (self.num_agents * numbers,))
+
+    @property
+    def unwrapped(self) -> "RobotsEnv":
+        """This environment."""
+        return self
+
+    def _show(self, observation: Mapping[str, Tensor]) -> Tensor:
+        return rows_of(observation, self.num_agents)
+
+    def _dict(self, rows: Tensor) -> dict[str, Tensor]:
+        return {name: rows[:, k] for k, name in enumerate(self.agents)}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Set all tables; return what each robot is given, and info."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._rows = self._show(observation)
+        return self._dict(self._rows), info
+
+    def step(
+        self, actions: Mapping[str, Tensor]
+    ) -> tuple[
+        dict[str, Tensor],
+        dict[str, Tensor],
+        dict[str, Tensor],
+        dict[str, Tensor],
+        dict[str, Any],
+    ]:
+        """Act on all tables; each action is (n, numbers of one robot)."""
+        together = torch.cat([actions[name] for name in self.agents], -1)
+        observation, reward, terminated, truncated, info = self.env.step(together)
+        self._rows = self._show(observation)
+
+        def each(value: Tensor) -> dict[str, Tensor]:
+            return dict.fromkeys(self.agents, value)
+
+        shown = self._dict(self._rows)
+        return shown, each(reward), each(terminated), each(truncated), info
+
+    def state(self) -> Tensor:
+        """Return what all robots were given last, (n, robots x numbers)."""
+        return self._rows.flatten(1)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class RunnerEnv:
+    """What ``rsl_rl.runners.OnPolicyRunner`` trains in; all robots are one agent.
+
+    It needs the package ``tensordict``, which comes with rsl_rl.
+    """
+
+    def __init__(self, env: GpuVecEnv) -> None:
+        """Take an environment, which is played in by this one from now on."""
+        self.env = env
+        self.num_envs, self.num_actions = env.num_envs, env.numbers
+        self.max_episode_length, self.device = env._horizon, env.device
+        self.cfg = vars(env.config)
+        self._shown = self._group(env.reset()[0])
+
+    def _group(self, observation: Mapping[str, Tensor]) -> Any:
+        from tensordict import TensorDict  # noqa: PLC0415
+
+        rows = rows_of(observation, len(self.env.robots)).flatten(1)
+        return TensorDict({"policy": rows}, batch_size=[self.num_envs])
+
+    @property
+    def episode_length_buf(self) -> Tensor:
+        """Steps of the episodes so far, (n,)."""
+        return self.env._age
+
+    @episode_length_buf.setter
+    def episode_length_buf(self, steps: Tensor) -> None:
+        self.env._age.copy_(steps)
+
+    def get_observations(self) -> Any:
+        """Return what is seen now, a TensorDict with the group ``policy``."""
+        return self._shown
+
+    def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
+        """Act on all tables.
+
+        Returns:
+            What is seen, rewards, which episodes ended (n,), and extras: ``time_outs``,
+            and the share of ends that are successes, for the log.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        self._shown = self._group(observation)
+        done = terminated | truncated
+        share = info["success"].sum() / done.sum().clamp_min(1)
+        extras = {"time_outs": truncated, "log": {"/success": share}}
+        return self._shown, reward, done.long(), extras
