@@ -53,7 +53,7 @@ def test_rows_are_what_each_robot_is_given() -> None:
     env = GpuVecEnv("reach_fixed", 2, **SMALL)
     observation, info = env.reset(seed=1)
     rows = rows_of(observation, 2)
-    assert rows.shape == (2, 2, 7 + 7 + 13 + 4 + 4 + 3)
+    assert rows.shape == (2, 2, 7 + 7 + 13 + 4 + 4 + 3 + 1)
     assert torch.equal(rows[:, 1, :7], observation["agent_pos"][:, 7:])
     told = [env.texts[i] for i in info["sentence"].tolist()]
     assert told == env.sentences()

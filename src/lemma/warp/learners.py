@@ -15,7 +15,7 @@ from torch import Tensor
 
 from lemma.warp.vector_env import GpuVecEnv
 
-KEYS = ("agent_pos", "agent_vel", "goal_state", "target", "here", "base")
+KEYS = ("agent_pos", "agent_vel", "goal_state", "target", "here", "base", "asked")
 """Parts of an observation that are numbers of robots, in the order of rows."""
 
 
