@@ -153,12 +153,11 @@ class Worlds:
 
     def _advance(self) -> None:
         """Advance the physics by one control step, in Warp."""
-        numbers, places, free, owner = self._constants
+        numbers, places, free, _ = self._constants
         data, n, slots = self.data, self.num_envs, len(self.pool.slots)
         movable = len(self.pool.scene.movable_names)
         robots = sum(1 << (1 + slots + k) for k in range(3 * len(self.robots)))
         room = 1 + sum(1 << (1 + k) for k in range(movable, slots))
-        touch = wp.from_torch(self.touch)
         for _ in range(self._substeps):
             wp.launch(
                 drive,
@@ -167,21 +166,26 @@ class Worlds:
                  wp.from_torch(self.angle), wp.from_torch(self.rate), data.ctrl],
             )  # fmt: skip
             mjw.step(self.model, data)
-            touch.zero_()
-            contact = data.contact
-            wp.launch(
-                note,
-                data.naconmax,
-                [data.nacon, contact.worldid, contact.geom, contact.frame, owner,
-                 slots, touch],
-            )  # fmt: skip
+            self._note_touches()
             wp.launch(
                 follow,
                 n,
-                [data.qpos, data.qvel, free, robots, room, touch,
+                [data.qpos, data.qvel, free, robots, room, wp.from_torch(self.touch),
                  wp.from_torch(self._left), wp.from_torch(self._awake),
                  wp.from_torch(self._thrown)],
             )  # fmt: skip
+
+    def _note_touches(self) -> None:
+        """Note who touches what, by the contacts of the last physics step, in Warp."""
+        owner, contact = self._constants[-1], self.data.contact
+        touch = wp.from_torch(self.touch)
+        touch.zero_()
+        wp.launch(
+            note,
+            self.data.naconmax,
+            [self.data.nacon, contact.worldid, contact.geom, contact.frame, owner,
+             len(self.pool.slots), touch],
+        )  # fmt: skip
 
     def _capture(self) -> None:
         self._simulate = launched(self._advance, self.device)
