@@ -1,6 +1,7 @@
 """Libraries of learners take the tables: skrl, rsl_rl, Gymnasium."""
 
 import warnings
+from typing import Any
 
 import pytest
 
@@ -8,6 +9,10 @@ pytest.importorskip(
     "mujoco_warp", reason="MuJoCo Warp is not installed; `make test-warp` installs it"
 )
 torch = pytest.importorskip("torch")
+
+import gymnasium  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
+from gymnasium.vector.utils import batch_space  # noqa: E402
 
 from lemma.warp.learners import RobotsEnv, rows_of  # noqa: E402
 from lemma.warp.vector_env import GpuVecEnv  # noqa: E402
@@ -77,3 +82,38 @@ def test_rsl_rl_trains_all_robots_as_one_agent() -> None:
 
         env = train("reach_fixed", 1, 2, None, **SMALL)
     assert env.env._steps == ROLLOUT
+
+
+def on_host(found: Any) -> Any:
+    """Return an observation as arrays."""
+    if isinstance(found, dict):
+        return {key: on_host(value) for key, value in found.items()}
+    return found.numpy()
+
+
+def test_gymnasium_takes_it_for_a_vector_environment() -> None:
+    inner = GpuVecEnv("lift_fixed", 2, horizon_s=0.1, observation="rgbd", width=16,
+                      height=12, **SMALL)  # fmt: skip
+    assert isinstance(inner, gymnasium.vector.VectorEnv)
+    n = inner.num_envs
+    assert inner.observation_space == batch_space(inner.single_observation_space, n)
+    assert inner.action_space == batch_space(inner.single_action_space, n)
+    assert inner.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    first, _ = inner.reset(seed=5)
+    assert on_host(first) in inner.observation_space
+    again, info = inner.reset(seed=5)
+    assert info["instance"].shape == (n,)
+    for key in ("agent_pos", "goal_state"):
+        assert torch.equal(first[key], again[key])
+    actions = torch.from_numpy(inner.action_space.sample())
+    observation, reward, terminated, truncated, _ = inner.step(actions)
+    assert on_host(observation) in inner.observation_space
+    assert reward.shape == terminated.shape == truncated.shape == (n,)
+    assert not truncated.any()
+    kept = observation["agent_pos"].clone()
+    _, _, _, truncated, info = inner.step(actions)
+    # The horizon is two steps. Results of the step before are not written over.
+    assert truncated.all()
+    assert not terminated.any()
+    assert torch.equal(observation["agent_pos"], kept)
+    assert info["_final_obs"].all()
