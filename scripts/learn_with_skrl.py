@@ -34,7 +34,7 @@ def layers(numbers: int, out: int) -> torch.nn.Sequential:
 
 
 class Actor(GaussianMixin, Model):  # type: ignore[misc]
-    """What a robot does by what it is given."""
+    """Chooses the action of a robot by its observation."""
 
     def __init__(self, **spaces: Any) -> None:
         """Make the network."""
@@ -50,7 +50,7 @@ class Actor(GaussianMixin, Model):  # type: ignore[misc]
 
 
 class Critic(DeterministicMixin, Model):  # type: ignore[misc]
-    """What the states of all robots are worth."""
+    """Estimates the value of a state of all robots."""
 
     def __init__(self, **spaces: Any) -> None:
         """Make the network."""

@@ -38,7 +38,7 @@ class Played:
     episode: Episode
     begin: FloatArray
     commands: list[FloatArray] = field(default_factory=list)
-    """What motors were told in each physics step."""
+    """Control inputs of the motors in each physics step."""
     states: list[tuple[FloatArray, FloatArray, float, FloatArray]] = field(
         default_factory=list
     )

@@ -1,4 +1,4 @@
-"""What a control step does beside physics can be recorded as a CUDA graph."""
+"""The work of a control step beside physics can be recorded as a CUDA graph."""
 
 import dataclasses
 from typing import Any

@@ -25,7 +25,7 @@ GRAPH_VARIABLE = "LEMMA_GPU_GRAPH"
 
 @dataclass(frozen=True)
 class GpuConfig:
-    """What tables are like, who sees and does what there, and on which device."""
+    """Tables, actions, observations, rewards and the device of an environment."""
 
     control: str = "delta_hand"
     """A name in :data:`CONTROLS`."""

@@ -1,7 +1,7 @@
 """Random numbers that are hashed from counters on the device.
 
-A CUDA graph replays the same kernels with the same arguments. What differs between
-replays has to be in memory: here, the number of the draw.
+A CUDA graph replays the same kernels with the same arguments. Numbers that
+differ between replays have to be in memory: here, the count of draws.
 """
 
 import torch

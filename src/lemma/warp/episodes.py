@@ -1,4 +1,4 @@
-"""What happens on all tables in one control step, beside the physics, in torch.
+"""A control step of all tables, beside the physics, in torch.
 
 Everything here can be recorded as a CUDA graph: memory stays where it is, shapes do not
 depend on data, nothing is read by the host, and indices are on the device.

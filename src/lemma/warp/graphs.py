@@ -16,7 +16,8 @@ def recorded(work: Callable[[], Any], device: str) -> Callable[[], Any]:
 
     The function is called a few times, once of which is recorded: it reads and writes
     the same memory at each call, reads nothing back to the host, and its results have
-    the same shapes. What the replay returns is overwritten by the next one.
+    the same shapes. The results of a replay are overwritten by
+    the next one.
 
     Args:
         work: The function; tensors in what it returns are kept.

@@ -1,4 +1,4 @@
-"""What runs between the physics steps of MuJoCo Warp: servos, touches, throws."""
+"""Kernels between the physics steps of MuJoCo Warp: servos, touches, throws."""
 
 import math
 

@@ -101,7 +101,7 @@ class RobotsEnv:
 
 
 class RunnerEnv:
-    """What ``rsl_rl.runners.OnPolicyRunner`` trains in; all robots are one agent.
+    """Tables for ``rsl_rl.runners.OnPolicyRunner``; all robots are one agent.
 
     It needs the package ``tensordict``, which comes with rsl_rl.
     """
@@ -137,7 +137,7 @@ class RunnerEnv:
         """Act on all tables.
 
         Returns:
-            What is seen, rewards, which episodes ended (n,), and extras: ``time_outs``,
+            Observations, rewards, which episodes ended (n,), and extras: ``time_outs``,
             and the share of ends that are successes, for the log.
         """
         observation, reward, terminated, truncated, info = self.env.step(actions)

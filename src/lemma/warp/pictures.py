@@ -1,4 +1,4 @@
-"""What cameras see on all tables, traced by MuJoCo Warp, as torch tensors."""
+"""Pictures of cameras on all tables, traced by MuJoCo Warp, as torch tensors."""
 
 import math
 from collections.abc import Sequence

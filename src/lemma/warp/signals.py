@@ -24,7 +24,7 @@ from lemma.tasks.goal import (
 
 
 class Signals:
-    """What holds in the worlds of a :class:`~lemma.warp.vector_env.GpuVecEnv`."""
+    """Goals and potentials of a :class:`~lemma.warp.vector_env.GpuVecEnv`."""
 
     def __init__(self, env: Any) -> None:
         """Take the environment, whose tensors are read."""

@@ -85,7 +85,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self._near = share
         self._share.fill_(share)
         if begun and self.graphed:
-            # What is recorded draws no such starts, or draws them in vain.
+            # The recorded graph draws no such starts, or draws them in vain.
             kept = [memory.clone() for memory in self._mutable()]
             self._record()
             for memory, value in zip(self._mutable(), kept, strict=True):

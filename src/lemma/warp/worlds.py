@@ -189,7 +189,7 @@ class Worlds:
 
     def _capture(self) -> None:
         self._simulate = launched(self._advance, self.device)
-        # What was simulated for that were worlds that were not set up yet.
+        # That step was of worlds that were not set up yet.
         self._overflow.zero_()
 
     def _place_hands(self) -> None:
