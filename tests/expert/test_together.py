@@ -4,20 +4,17 @@ import math
 import os
 import pickle
 import random
-from itertools import combinations
 
 import pytest
 from recorded_episodes import first_instance, run_expert
 from small_tables import cube, facing, move
 from tiers import slow_but
+from watched_sectors import watch_sectors
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.env.simulation import Ended, Simulation
-from lemma.evaluation.run.watches import ClearanceWatch
 from lemma.expert.together import solve_together
-from lemma.motion.arm_motion import largest_turn
-from lemma.motion.reservations import cell_at
 from lemma.planning.schedule import predecessors
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
@@ -30,25 +27,6 @@ ALONE = tuple(task for task in SUITE if task not in ("pass2", "stack2"))
 
 PLANS = int(os.environ.get("TEAM_PLANS", "40"))
 """Random plans for each number of robots, in the slow tier."""
-
-
-def watch_sectors(simulation: Simulation) -> ClearanceWatch:
-    """Check in every tick that no cell has two holders; watch the clearance as well.
-
-    A hand over the table that is not at home is in a cell of its arm.
-    """
-
-    def look() -> None:
-        cells = simulation.reservations.cells
-        for a, b in combinations(cells.values(), 2):
-            assert not (a & b).any()
-        for name, arm in simulation.arms.items():
-            if largest_turn(arm.measured, arm.park) > 0.1:
-                at = cell_at(*arm.tcp_pose()[:2, 3])
-                assert at is None or cells[name][at]
-
-    simulation.observers.append(look)
-    return ClearanceWatch(simulation)
 
 
 def test_a_sub_task_depends_on_earlier_ones_about_the_same_objects() -> None:

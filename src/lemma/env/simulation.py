@@ -21,7 +21,6 @@ from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import CoastingState
-from lemma.scene.objects.contacts import LEFT, RIGHT
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
@@ -208,12 +207,13 @@ class Simulation:
                 f"{subtask.robot} cannot work alone: {', '.join(self._running)} is "
                 "busy. Call advance() until no robot is."
             )
-        self.begin(subtask, until_s)
-        (ended,) = self.advance()
-        return ended.result
+        self._begin(subtask, until_s)
+        return self.advance()[0].result
 
     def begin(self, subtask: GroundedSubTask, until_s: float = HORIZON_S) -> None:
         """Give a grounded sub-task to a free robot; :meth:`advance` carries it out.
+
+        Arms that stay over the table, free, make way for it where they must.
 
         Args:
             subtask: The sub-task.
@@ -223,12 +223,18 @@ class Simulation:
             InvalidActionError: The robot is busy.
             UnknownNameError: There is no such robot in this scene.
         """
+        if not self._running:
+            self._skills.staying.begin()
+        self._begin(subtask, until_s)
+
+    def _begin(self, subtask: GroundedSubTask, until_s: float) -> None:
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
         if subtask.robot in self._running:
             raise InvalidActionError(
                 f"{subtask.robot} is busy. Only a free robot can begin a sub-task."
             )
+        self._skills.staying.work(subtask.robot)
         skill = self._skills.run(subtask)
         self._running[subtask.robot] = _Running(
             subtask, skill, self.time_s, until_s, self.scene.fallen
@@ -257,15 +263,20 @@ class Simulation:
             if ended or data.time >= end:
                 return ended
             try:
-                if len(self._running) > 1:
-                    self._skills.mind_others(tuple(self._running))
-                self.tick(tuple(self.busy))
+                self.tick((*self.busy, *self._mind_others()))
             except BaseException:
                 # An observer may break everything off by raising something.
                 for name in tuple(self._running):
                     self._free(name)
                 raise
         return ()
+
+    def _mind_others(self) -> tuple[str, ...]:
+        """Let those at work mind each other; returns free arms that make way."""
+        staying = self._skills.staying
+        if len(self._running) > 1 or staying:
+            self._skills.mind_others(tuple(self._running))
+        return staying.make_way() if staying else ()
 
     def _end_those_done(self) -> tuple[Ended, ...]:
         """Let every skill look at the present state once; free robots that are done."""
@@ -304,7 +315,9 @@ class Simulation:
         """End what a robot does, and count the time it took."""
         running = self._running.pop(robot)
         running.skill.close()
-        self.reservations.release(robot)
+        self._skills.staying.leave(robot)
+        if not self._running:
+            self._skills.staying.clear()
         self.clocks[robot].busy_s += self.time_s - running.start_s
 
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
@@ -367,6 +380,7 @@ class Simulation:
         for running in self._running.values():
             running.skill.close()
         self._running.clear()
+        self._skills.staying.clear()
         self.reservations.clear(snapshot.waiting)
         self.scene.restore(snapshot.physics)
         self.scene.coasting.restore(snapshot.coasting)
@@ -383,18 +397,4 @@ class Simulation:
 
         An object is held when both finger pads of a gripper touch it.
         """
-        scene = self.scene
-        contacts, parts = scene.data.contact.geom, scene.parts
-        touching: dict[tuple[int, str], int] = {}
-        # Asked at every step, and few contacts are those of pads.
-        for contact, side in np.argwhere(parts[contacts, 1] >= LEFT).tolist():
-            robot, pad = parts[contacts[contact, side]].tolist()
-            body = scene.model.geom_bodyid[contacts[contact, 1 - side]]
-            entity = scene.entity_of_body(int(body))
-            if entity is not None:
-                touching[robot, entity] = touching.get((robot, entity), 0) | pad
-        names = scene.spec.robot_names
-        both = LEFT | RIGHT
-        return {
-            names[r]: thing for (r, thing), pads in touching.items() if pads == both
-        }
+        return self.scene.held()

@@ -255,8 +255,12 @@ class Moves:
             yield from self._straight(
                 float(self.arm.tcp_pose()[2, 3]) + RETREAT_M, _VERTICAL_M_S
             )
+        yield from self.rise_from_here(TRAVEL_HEIGHT_M)
+
+    def rise_from_here(self, height_m: float) -> Motion:
+        """Let the hand rise to a height [m] as it is, for a second at most."""
         pose = self.arm.tcp_pose()
-        pose[2, 3] = max(pose[2, 3], TRAVEL_HEIGHT_M)
+        pose[2, 3] = max(pose[2, 3], height_m)
         self.arm.aim(pose)
         for _ in range(100):
             if abs(self.arm.tcp_pose()[2, 3] - pose[2, 3]) < FLY_BY_M:

@@ -10,7 +10,8 @@ circle. Then the one that began last takes home what it carries, which it can al
 its way home is part of what it holds. There it holds nothing, and what it reserves next
 takes it to the end of its sub-task. So each sub-task retreats at most once, and some
 arm can always go on. A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as
-``deadlock``.
+``deadlock``. An arm that is free but not at home holds its way home from where it stays
+(:mod:`lemma.motion.staying`).
 """
 
 import math
@@ -89,11 +90,13 @@ class _Holder:
     stops: FloatArray
     """Where it stops on its way, see :func:`_clip`; the last one is home."""
     beyond_m: float
+    stays: bool = False
+    """Whether its robot stays where it is, and has not moved since."""
 
     @property
     def goes_home(self) -> bool:
         """Whether it has no more work."""
-        return len(self.stops) == 1
+        return len(self.stops) == 1 and not self.stays
 
 
 @dataclass(slots=True)
@@ -192,7 +195,25 @@ class Reservations:
 
     def _send_home(self, robot: str) -> None:
         held = self._holders[robot]
-        held.stops = held.stops[-1:]
+        held.stops, held.stays = held.stops[-1:], False
+
+    def stay(self, robot: str, *, stick: bool = False) -> None:
+        """Hold an arm's way home from where it stays, but for what others hold.
+
+        Args:
+            robot: The arm.
+            stick: Whether it holds the stick.
+        """
+        self._end_wait(robot)
+        if robot not in self._holders:
+            stops, cells = self._stops(robot, ()), np.ones(_CELLS, np.bool_)
+            beyond = BEYOND_STICK_M if stick else BEYOND_M
+            self._clip(robot, stops, beyond, cells)
+            for other in self._holders.values():
+                cells &= ~other.cells
+            self._holders[robot] = _Holder(cells, stops, beyond)
+        self._send_home(robot)
+        self._holders[robot].stays = True
 
     def give_up(self, robot: str) -> None:
         """Give up what an arm holds, though it may wait on."""

@@ -20,6 +20,7 @@ from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.obstacles import Obstacles
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
 from lemma.motion.reservations import Reservations, Verdict
+from lemma.motion.staying import StayingArms
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
@@ -62,9 +63,10 @@ class SkillRunner:
         self.arms = arms
         self.scene = next(iter(arms.values())).scene
         self.reservations = Reservations(arms)
-        """Of those at work; whoever is free holds none."""
+        """Of those at work, and of those that are free but not at home."""
         self._obstacles = Obstacles(arms)
         self._felt: dict[str, tuple[Pose2 | None, str | None]] = {}
+        self.staying = StayingArms(arms, self.reservations, self.feel)
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
         """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
@@ -75,7 +77,7 @@ class SkillRunner:
         """Let those at work feel where others are now, and not wait for ever.
 
         Args:
-            busy: Several robots, in the order in which their sub-tasks began.
+            busy: Robots, in the order in which their sub-tasks began.
         """
         for name in busy:
             # Of any arm, for a sub-task that has begun in this tick as well.

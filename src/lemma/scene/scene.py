@@ -15,7 +15,7 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
 from lemma.scene.coasting import Coasting
-from lemma.scene.objects.contacts import parts_of_robots
+from lemma.scene.objects.contacts import LEFT, RIGHT, parts_of_robots
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -269,6 +269,25 @@ class Scene:
     def parts(self) -> NDArray[np.int64]:
         """Robot and part of each geom; see :func:`.contacts.parts_of_robots`."""
         return parts_of_robots(self.model, [robot.name for robot in self.robots])
+
+    def held(self) -> dict[str, str]:
+        """Return what each gripper holds: robot name to entity name.
+
+        An object is held when both finger pads of a gripper touch it.
+        """
+        contacts, parts = self.data.contact.geom, self.parts
+        touching: dict[tuple[int, str], int] = {}
+        # Asked at every step, and few contacts are those of pads.
+        for contact, side in np.argwhere(parts[contacts, 1] >= LEFT).tolist():
+            robot, pad = parts[contacts[contact, side]].tolist()
+            body = self.model.geom_bodyid[contacts[contact, 1 - side]]
+            entity = self.entity_of_body(int(body))
+            if entity is not None:
+                touching[robot, entity] = touching.get((robot, entity), 0) | pad
+        names, both = self.spec.robot_names, LEFT | RIGHT
+        return {
+            names[r]: thing for (r, thing), pads in touching.items() if pads == both
+        }
 
     @cached_property
     def tcp_sites(self) -> NDArray[np.int64]:

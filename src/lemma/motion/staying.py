@@ -1,0 +1,115 @@
+"""Arms that are free but not at home: each holds the sector in which it stays.
+
+``reach`` and ``lift`` end over the table. An arm that stays there holds its way home.
+If another one has waited for that for a moment, the arm makes way: it rises and goes
+home with what it holds. Its robot is free all the while, and a new sub-task of its own
+begins from wherever its arm is.
+"""
+
+from collections.abc import Callable, Mapping
+
+from lemma.core.poses import Pose2
+from lemma.motion.arm_motion import ArmMotion, largest_turn
+from lemma.motion.moves import Motion, Moves
+from lemma.motion.reservations import PATIENCE_S, Reservations
+from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.scene.objects.entity import STICK
+
+HOME_RAD = 0.05
+"""An arm is at home if no joint is farther from where it waits [rad]."""
+
+Feel = Callable[[ArmMotion, Pose2 | None, str | None], None]
+
+
+class StayingArms:
+    """The arms of one scene that are free but not at home, while others work."""
+
+    def __init__(
+        self, arms: Mapping[str, ArmMotion], reservations: Reservations, feel: Feel
+    ) -> None:
+        """Let nobody stay anywhere yet.
+
+        Args:
+            arms: Motion of every robot of the scene, by robot name.
+            reservations: Of the same arms.
+            feel: Sets the obstacles of an arm.
+        """
+        self._arms, self._reservations, self._feel = arms, reservations, feel
+        self._scene = next(iter(arms.values())).scene
+        self._ways: dict[str, Motion | None] = {}
+
+    def __bool__(self) -> bool:
+        """Whether an arm stays anywhere."""
+        return bool(self._ways)
+
+    def is_home(self, robot: str) -> bool:
+        """Whether an arm is where it waits."""
+        arm = self._arms[robot]
+        return largest_turn(arm.measured, arm.park) < HOME_RAD
+
+    def begin(self) -> None:
+        """Let all arms that are not at home hold their sectors; nobody is at work."""
+        for robot, arm in self._arms.items():
+            if not self.is_home(robot):
+                # By the state alone, not by contacts: a restored one goes on alike.
+                stick = STICK in self._scene.object_names and Moves(arm).is_full()
+                self._reservations.stay(robot, stick=stick)
+                self._ways[robot] = None
+
+    def leave(self, robot: str) -> None:
+        """Note that a robot has become free; it holds a sector if it is not at home."""
+        if self.is_home(robot):
+            self._reservations.release(robot)
+        else:
+            self._reservations.stay(robot)
+            self._ways[robot] = None
+
+    def work(self, robot: str) -> None:
+        """Note that a robot begins to work, from where it is."""
+        way = self._ways.pop(robot, None)
+        if way is not None:
+            way.close()
+
+    def clear(self) -> None:
+        """Let arms stop where they are, and hold nothing."""
+        for robot, way in self._ways.items():
+            if way is not None:
+                way.close()
+                self._arms[robot].sync()
+                self._arms[robot].hold()
+            self._reservations.release(robot)
+        self._ways.clear()
+
+    def make_way(self) -> tuple[str, ...]:
+        """Let arms that others wait for go home; returns those that move."""
+        now_s = self._scene.time_s
+        for wait in self._reservations.waits.values():
+            for robot in wait.holders if now_s - wait.since_s >= PATIENCE_S else ():
+                if robot in self._ways and self._ways[robot] is None:
+                    self._ways[robot] = self._go_home(self._arms[robot])
+        moving = []
+        for robot, way in tuple(self._ways.items()):
+            if way is not None:
+                try:
+                    next(way)
+                except StopIteration:
+                    self._reservations.release(robot)
+                    del self._ways[robot]
+                else:
+                    moving.append(robot)
+        return tuple(moving)
+
+    def _go_home(self, arm: ArmMotion) -> Motion:
+        """Rise from where an arm stays, and go home with what it holds."""
+        self._reservations.ask_for_home(arm.robot.name)
+        held = self._scene.held().get(arm.robot.name)
+        x, y = arm.tcp_pose()[:2, 3].tolist()
+        # What it stands above is no obstacle to a hand that rises.
+        for _ in Moves(arm).rise_from_here(TRAVEL_HEIGHT_M):
+            self._feel(arm, Pose2(x, y), held)
+            yield
+        arm.follow_posture(arm.park)
+        while not self.is_home(arm.robot.name):
+            self._feel(arm, None, held)
+            yield
+        arm.hold()
