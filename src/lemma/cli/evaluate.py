@@ -134,7 +134,6 @@ def evaluate(
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
-    from lemma.evaluation.analysis.team_scores import team_scores
     from lemma.evaluation.protocol.rules import NAME, departures
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.tables import rates
@@ -149,7 +148,7 @@ def evaluate(
     result = summarise(rows, read_about(out), config.command())
     result.write(out / SUMMARY)
     complain_of(rows)
-    teams = team_scores(rows)
+    teams = result.teams
     if as_json:
         told = {"teams": [asdict(each) for each in teams]} if teams else {}
         print_json(_rates(result.cells, config.kinds) | told)

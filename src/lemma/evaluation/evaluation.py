@@ -10,7 +10,6 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.files import temporary_folder
 from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
-from lemma.evaluation.analysis.team_scores import team_scores
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates
 from lemma.evaluation.report.team_table import team_table
@@ -64,7 +63,7 @@ class Evaluation:
         Where robots act together, what they do with their time as well.
         """
         told = rates(self.result.cells).markdown()
-        teams = team_scores(self.rows)
+        teams = self.result.teams
         told += f"\n{team_table(teams).markdown()}" if teams else ""
         if self.errors:
             told += (

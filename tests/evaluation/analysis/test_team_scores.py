@@ -1,13 +1,17 @@
 """Scores of teams: counted as they are defined."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
-from made_up import row, step
+from made_up import ABOUT, row, step
 
+from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.analysis.team_scores import team_scores
 from lemma.evaluation.protocol.schedules import executed_s
 from lemma.evaluation.records import Row
+from lemma.evaluation.report.policy_results import PolicyResults
+from lemma.evaluation.report.sections import page
 from lemma.evaluation.report.team_table import team_table
 from lemma.tasks.suite import load_instance
 
@@ -55,3 +59,12 @@ def test_failures_have_no_makespan_and_score_nothing() -> None:
 def test_turns_of_the_papers_suite_are_no_teams() -> None:
     assert team_scores([relay(task="stack2")]) == ()
     assert len(team_scores([relay(task="stack2", together={})])) == 1
+
+
+def test_summaries_and_reports_have_the_table(tmp_path: Path) -> None:
+    made = summarise([relay()], ABOUT)
+    assert made.teams == team_scores([relay()])
+    made.write(tmp_path / "summary.json")
+    read = read_result(tmp_path / "summary.json")
+    assert read == made
+    assert team_table(made.teams).markdown() in page([PolicyResults("Us", (read,))])

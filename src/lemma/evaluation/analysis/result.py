@@ -8,7 +8,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from statistics import median
@@ -22,6 +22,7 @@ from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
 from lemma.evaluation.analysis.rates import Cell, rates_in_words
 from lemma.evaluation.analysis.reached import Reached, reached_by
+from lemma.evaluation.analysis.team_scores import TeamScores, team_scores
 from lemma.evaluation.records import (
     POSE_TOLERANCE_MM,
     RESULT_VERSION,
@@ -114,6 +115,8 @@ class Result:
     reached: tuple[Reached, ...] = ()
     planning: tuple[Planning, ...] = ()
     """Effort of planning; only for policies that count it."""
+    teams: tuple[TeamScores, ...] = ()
+    """Use of time by task; only where robots act together or are a team."""
     experiment: str = ""
     """Name of the experiment it belongs to, if any."""
     version: str = field(default=RESULT_VERSION)
@@ -143,7 +146,7 @@ class Result:
 
 _TABLES = (
     *("cells", "losses", "precisions", "coordination", "asked", "reached"),
-    "planning",
+    *("planning", "teams"),
 )
 """Fields with an entry in each line; left out where there is none."""
 
@@ -242,6 +245,8 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
     again = summarise(
         lines_of(result, rows), result.about, result.command, result.experiment
     )
+    if not result.teams:  # It may have been written before there were any.
+        again = replace(again, teams=())
     if again.episodes_sha256 == result.episodes_sha256 and again == result:
         return
     told, found = rates_in_words(result.cells), rates_in_words(again.cells)
@@ -295,6 +300,7 @@ def summarise(
             reached_by(listed, *name) for name, listed in _questions(ordered)
         ),
         planning=tuple(_planning(ordered)),
+        teams=team_scores(ordered),
         experiment=experiment,
     )
 

@@ -18,7 +18,7 @@ from lemma.evaluation.experiments.catalog import (
     SUITES,
 )
 from lemma.evaluation.records import older_versions
-from lemma.evaluation.report import measures, tables
+from lemma.evaluation.report import measures, tables, team_table
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -172,6 +172,13 @@ def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
         },
         "How exact the poses are": tables.precision(entries, "high_level"),
         "Coordination": measures.coordination(entries, "high_level"),
+        **{
+            f"{entry.title}: use of time{seed}": team_table.team_table(result.teams)
+            for entry in entries
+            for result in entry.results
+            for seed in [f", seed {result.seed}" if entry.results[1:] else ""]
+            if result.teams
+        },
     }
 
 
