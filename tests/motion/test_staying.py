@@ -97,3 +97,14 @@ def test_a_moment_in_which_an_arm_makes_way_is_found_again_to_the_bit() -> None:
     found = [one.simulation.scene.state_hash() for one in (first, again)]
     assert found[0] == found[1]
     assert is_home(first.simulation, "robot_0")
+
+
+def test_what_a_hand_still_holds_is_put_down_while_others_work() -> None:
+    simulation = Simulation(TABLE)
+    simulation.begin(hand(Primitive.LIFT))
+    simulation.advance()
+    simulation.begin(move(GREEN, Pose2(0.3, 0.25), "robot_1"))
+    simulation.begin(move(RED, Pose2(-0.15, 0.1)))
+    ended = [*simulation.advance(), *simulation.advance()]
+    assert [one.result.outcome for one in ended] == ["success", "success"]
+    assert not simulation.scene.coasting.is_thrown

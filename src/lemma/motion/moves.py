@@ -293,6 +293,13 @@ class Moves:
         self.arm.follow_posture(park)
 
 
+def between(start: Stand, end: Stand, distance_m: float) -> Stand:
+    """Return the waypoint that lies a distance along the way."""
+    t = min(1.0, distance_m / max(math.dist(start[:3], end[:3]), 1e-9))
+    x, y, z, yaw = (a + t * (b - a) for a, b in zip(start, end, strict=True))
+    return (x, y, z, yaw)
+
+
 def _at_height(stand: Stand, z: float) -> Stand:
     return (stand[0], stand[1], z, stand[3])
 

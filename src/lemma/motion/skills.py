@@ -16,7 +16,7 @@ from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2, wrap
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion, largest_turn
-from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
+from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand, between
 from lemma.motion.obstacles import Obstacles
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
 from lemma.motion.reservations import Reservations, Verdict
@@ -137,6 +137,9 @@ class SkillRunner:
         result = SkillResult(Outcome.SUCCESS, "Done.", 0.0)
         self._felt[subtask.robot] = (None, None)
         if Moves(arm).is_full():
+            x, y = arm.tcp_pose()[:2, 3].tolist()
+            # What it holds is no obstacle to it.
+            self._felt[subtask.robot] = (None, self.surface(Pose2(x, y))[1])
             yield from self._put_away(arm)
         try:
             yield from self._begin(arm, subtask)
@@ -252,7 +255,7 @@ class SkillRunner:
         yield from moves.grasp(over, low)
         yield from moves.to(start, contact=True)
         moves.check_held()
-        met = _between(start, end, _MEETING_M)
+        met = between(start, end, _MEETING_M)
         yield from moves.along(start, met, _MEETING_M_S)
         yield from moves.along(met, end, DRAG_SPEED_M_S)
         yield from moves.to(end, contact=True)
@@ -391,10 +394,3 @@ def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:
         pick=replace(subtask.pick, yaw=subtask.pick.yaw + math.pi),
         place=replace(subtask.place, yaw=subtask.place.yaw + math.pi),
     )
-
-
-def _between(start: Stand, end: Stand, distance_m: float) -> Stand:
-    """Return the waypoint that lies a distance along the way."""
-    t = min(1.0, distance_m / max(math.dist(start[:3], end[:3]), 1e-9))
-    x, y, z, yaw = (a + t * (b - a) for a, b in zip(start, end, strict=True))
-    return (x, y, z, yaw)
