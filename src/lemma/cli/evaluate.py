@@ -87,6 +87,9 @@ class EvaluateOptions:
     """JSON file with an instance of your own; only this one is played."""
     perturb_start: Flag = False
     """Move objects at the start by up to 3 cm and 15 degrees."""
+    disturb: Literal["no", "durations", "slow", "stops"] = "no"
+    """Disturb robots. durations: each sub-task takes 1 to 1.86 times as long; slow: one
+    robot is half as fast; stops: one stands still for 20 s."""
     protocol: Literal["both", "strict"] = "both"
     """Verdicts. strict: the first infeasible sub-task ends an episode. both: the
     episode then continues, for the lenient verdict; one run gives both verdicts."""
@@ -201,6 +204,7 @@ def _config(
         episodes=ask.episodes,
         language=ask.language,
         perturb_start=ask.perturb_start,
+        disturb="" if ask.disturb == "no" else ask.disturb,
         verdicts=ask.protocol,
         instance=own,
     )

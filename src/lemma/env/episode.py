@@ -6,7 +6,8 @@ from typing import Any
 
 from lemma.core.arguments import real
 from lemma.core.errors import InvalidConfigError, ResetNeededError
-from lemma.env.simulation import HORIZON_S, TICK_S, Simulation, SimulationSnapshot
+from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
+from lemma.env.snapshots import SimulationSnapshot
 from lemma.env.stages import StageState, StageWatch
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.build import TIME_STEP_S

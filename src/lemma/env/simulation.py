@@ -13,14 +13,13 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
+from lemma.env.snapshots import ArmSnapshot, SimulationSnapshot
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.motion.reservations import Reservations, WaitingTimes
-from lemma.motion.rmpflow.workspace import ArmTarget
+from lemma.motion.reservations import Reservations
 from lemma.motion.skills import Skill, SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
-from lemma.scene.coasting import CoastingState
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
@@ -31,6 +30,10 @@ TICK_S = 0.01
 STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
 HORIZON_S = 100.0
 """T_max: simulated seconds after which an episode ends (paper, section IV)."""
+
+Pace = Callable[[str, float, float], float]
+"""From a robot, when its sub-task began and the present [s] to how fast it is: 1 as
+usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
 
@@ -69,32 +72,16 @@ class _Running:
     """Objects that had fallen off the table before it began."""
     looked_s: float = -math.inf
     """Simulated time at which the skill last looked at the world [s]."""
+    due: float = 1.0
+    """Looks that it has not made yet; a slow robot's skill looks less often."""
 
-
-@dataclass(frozen=True, slots=True)
-class ArmSnapshot:
-    """State of an arm's motion, beside the physics."""
-
-    reference: FloatArray
-    """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
-    goal: ArmTarget
-    opening_m: float
-    """Commanded opening of the gripper [m]."""
-    busy_s: float
-    """See :class:`RobotClock` [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationSnapshot:
-    """A simulation between two sub-tasks or control steps."""
-
-    physics: FloatArray
-    """The full integration state."""
-    arms: dict[str, ArmSnapshot]
-    coasting: CoastingState
-    """How far each object has moved by itself."""
-    waiting: WaitingTimes
-    """How long arms waited for others so far."""
+    def looks(self, now_s: float, pace: float) -> bool:
+        """Whether the skill looks at the world now; it does so once in a servo tick."""
+        if self.looked_s == now_s:
+            return False
+        self.looked_s, due = now_s, self.due + pace
+        self.due = due - 1.0 if due >= 1.0 else due
+        return due >= 1.0
 
 
 class Simulation:
@@ -117,6 +104,8 @@ class Simulation:
         }
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
+        self.pace: Pace | None = None
+        """How fast busy robots are; all as fast as they can if None."""
         self._skills = SkillRunner(self.arms)
         self._running: dict[str, _Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
@@ -271,6 +260,13 @@ class Simulation:
                 raise
         return ()
 
+    def _keep_pace(self, robot: str) -> float:
+        """Set and return how fast a busy robot is now."""
+        arm = self.arms[robot]
+        if self.pace is not None:
+            arm.pace = self.pace(robot, self._running[robot].start_s, self.time_s)
+        return arm.pace
+
     def _mind_others(self) -> tuple[str, ...]:
         """Let those at work mind each other; returns free arms that make way."""
         staying = self._skills.staying
@@ -284,8 +280,7 @@ class Simulation:
         for name in self.busy:
             running, result = self._running[name], None
             try:
-                if running.looked_s != self.time_s:
-                    running.looked_s = self.time_s
+                if running.looks(self.time_s, self._keep_pace(name)):
                     next(running.skill)
             except StopIteration as done:
                 result = done.value
@@ -315,6 +310,7 @@ class Simulation:
         """End what a robot does, and count the time it took."""
         running = self._running.pop(robot)
         running.skill.close()
+        self.arms[robot].pace = 1.0
         self._skills.staying.leave(robot)
         if not self._running:
             self._skills.staying.clear()

@@ -125,7 +125,8 @@ class Claim:
         kinds = {kind for kind, _ in counted}
         whole = {(kind, task): SPLITS["test"] for kind in kinds for task in SUITE}
         plain = self.about["split"] == "test" and self.about["language"] == "full"
-        return plain and counted == whole and not self.about.get("perturb_start")
+        moved = self.about.get("perturb_start") or self.about.get("disturb")
+        return plain and counted == whole and not moved
 
     def problems(self) -> Iterator[str]:
         """Yield what contradicts itself, in sentences; nothing is played for it."""

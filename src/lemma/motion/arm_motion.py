@@ -159,6 +159,7 @@ def _lead_servos(  # noqa: PLR0913 - one call is what makes it fast
     obstacles: FloatArray,
     lag_s: float,
     opening_m: float,
+    pace: float,
     servos: int,
     gripper: int,
     out: FloatArray,
@@ -169,9 +170,9 @@ def _lead_servos(  # noqa: PLR0913 - one call is what makes it fast
     servos' lag, and that of the gripper.
     """
     for step in range(out.shape[0]):
-        integrate(record, spheres, state, obstacles, SUBSTEP_S, SUBSTEPS)
+        integrate(record, spheres, state, obstacles, pace * SUBSTEP_S, SUBSTEPS)
         for i in range(6):
-            out[step, servos + i] = state[0, i] + lag_s * state[1, i]
+            out[step, servos + i] = state[0, i] + pace * lag_s * state[1, i]
         out[step, gripper] = opening_m
 
 
@@ -260,8 +261,7 @@ class ArmMotion:
         self.measured: FloatArray = scene.data.qpos[robot.qpos]
         """Joint angles in the physics, (6,) [rad]: a view."""
         envelope = envelope_of(robot.arm.name)
-        limits = np.array(robot.arm.joint_range)
-        self.joint_range = limits
+        self.joint_range = limits = np.array(robot.arm.joint_range)
         model = ArmModel(
             dh=self._dh,
             world_from_base=robot.world_from_base,
@@ -276,6 +276,8 @@ class ArmMotion:
         )
         self.state: FloatArray = np.zeros((2, 6))
         self.opening_m = FINGER_OPENING_M
+        self.pace = 1.0
+        """How fast its time goes: 0.5 is half as fast as usual."""
         self.park = np.array(park_joints(robot.arm.name))
         goal = ArmTarget(np.zeros(3), np.eye(3), self.park, 0.0, 1.0)
         self.workspace = Workspace()
@@ -350,7 +352,7 @@ class ArmMotion:
             self.state,
             self.obstacles,
             self._lag_s,
-            self.opening_m,
+            *(self.opening_m, self.pace),
             self._servos,
             self._gripper,
             commands,
@@ -390,11 +392,9 @@ class ArmMotion:
 
     def capsules(self, q: FloatArray | None = None) -> FloatArray:
         """Return the space that the arm fills at ``q`` or now: capsules (n, 7) [m]."""
-        envelope = envelope_of(self.robot.arm.name)
-        placed = np.empty((7, 4, 4))
-        if q is None:
-            q = self.measured
-        frames(self._dh, self.robot.world_from_base, q, placed)
+        envelope, placed = envelope_of(self.robot.arm.name), np.empty((7, 4, 4))
+        at = self.measured if q is None else q
+        frames(self._dh, self.robot.world_from_base, at, placed)
         out = np.empty((len(envelope.capsules), 7))
         place_capsules(placed, envelope.capsule_links, envelope.capsules, out)
         return out

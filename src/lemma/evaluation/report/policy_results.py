@@ -229,6 +229,8 @@ def title_of(result: Result) -> str:
         parts.append(f"language {result.about['language']}")
     if starts_perturbed(result):
         parts.append("perturbed starts")
+    if result.about.get("disturb"):
+        parts.append(f"disturbed: {result.about['disturb']}")
     return ", ".join(part for part in parts if part)
 
 
@@ -244,7 +246,8 @@ def policy_of(result: Result) -> str:
 
 def is_plain(result: Result) -> bool:
     """Whether everything was said and done as the instances have it."""
-    return result.about["language"] == FULL and not starts_perturbed(result)
+    moved = starts_perturbed(result) or bool(result.about.get("disturb"))
+    return result.about["language"] == FULL and not moved
 
 
 def _row_of(result: Result) -> str:
@@ -252,6 +255,8 @@ def _row_of(result: Result) -> str:
     if result.experiment in EXPERIMENTS:
         return result.experiment
     about = result.about
+    if about.get("disturb"):
+        return title_of(result)
     said = (about["policy"], about["language"], starts_perturbed(result))
     found = (name for name, one in EXPERIMENTS.items() if one.decides == said)
     return next(found, title_of(result))

@@ -11,6 +11,7 @@ from lemma.core.arguments import known, whole
 from lemma.core.errors import InvalidConfigError
 from lemma.core.plugins import plugin_words
 from lemma.dataset.recipe.files import versions
+from lemma.evaluation.protocol.disturbances import DISTURBANCES
 from lemma.evaluation.protocol.expert_times import TIMED_SPLITS
 from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.protocol.rules import GROUP, quote
@@ -72,6 +73,8 @@ class EvaluationConfig:
     perturb_start: bool = False
     """Whether objects begin a little elsewhere, see
     :mod:`lemma.evaluation.protocol.expert_times`."""
+    disturb: str = ""
+    """How robots are disturbed, one of :data:`.DISTURBANCES`; not by default."""
     verdicts: str = VERDICTS[0]
     """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
     on after a protective stop."""
@@ -82,6 +85,7 @@ class EvaluationConfig:
         """Check the names and the number."""
         if self.instance is not None:
             self._check_own(self.instance)
+            self._check_disturbance()
             return
         if not (self.tasks and self.kinds):
             raise InvalidConfigError(
@@ -94,6 +98,7 @@ class EvaluationConfig:
                     check_blind(task, self.split)
         known("control of language", self.language, LANGUAGES)
         known("protocol", self.verdicts, VERDICTS)
+        self._check_disturbance()
         if self.perturb_start and self.split not in TIMED_SPLITS:
             raise InvalidConfigError(
                 f"Split {self.split!r} has no perturbed starts; "
@@ -105,6 +110,16 @@ class EvaluationConfig:
             raise InvalidConfigError(
                 f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
                 "episodes of each task there shall be, with --episodes."
+            )
+
+    def _check_disturbance(self) -> None:
+        if not self.disturb:
+            return
+        known("disturbance", self.disturb, DISTURBANCES)
+        if self.policy.controls:
+            raise InvalidConfigError(
+                "A policy that answers motor commands is not disturbed: its arms are "
+                "as fast as it says. Leave out the disturbance."
             )
 
     def _check_own(self, instance: Instance) -> None:
@@ -142,6 +157,7 @@ class EvaluationConfig:
             "served": served_parts(self.policy),
             "language": self.language,
             "perturb_start": self.perturb_start,
+            **({"disturb": self.disturb} if self.disturb else {}),
             "split": self.split,
             "protocol": quote(),
             **({"suites": suites} if suites else {}),
@@ -188,6 +204,7 @@ class EvaluationConfig:
         # These are quoted already.
         asked = policy.chat.words() if policy.chat is not None else []
         asked += ["--perturb-start"] * self.perturb_start
+        asked += ["--disturb", self.disturb] * bool(self.disturb)
         asked += ["--protocol", self.verdicts] * (self.verdicts != VERDICTS[0])
         return " ".join([shlex.join(words), *asked])
 

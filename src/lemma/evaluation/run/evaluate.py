@@ -21,6 +21,7 @@ from lemma.core.files import only_writer, read_json
 from lemma.core.workers.pool import Engine, report
 from lemma.core.workers.resumable import PARTS, Part, begin, do_missing, has_parts
 from lemma.evaluation.lines import read_lines, read_rows, write_rows
+from lemma.evaluation.protocol.disturbances import disturb
 from lemma.evaluation.protocol.expert_times import expert_s, perturbed_start
 from lemma.evaluation.protocol.language_controls import control_of
 from lemma.evaluation.protocol.rules import check_protocol
@@ -132,6 +133,8 @@ def play_group(
             instance = perturbed_start(instance)
         control = control_of(config.language, instance, kind)
         rollouts.append(player.begin(instance, kind, control))
+        if config.disturb:
+            disturb(rollouts[-1].episode, config.disturb)
     rows: list[Row] = []
     start = perf_counter()
     lenient = config.verdicts == VERDICTS[0]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from lemma.env.episode import Episode
+from lemma.evaluation.protocol.disturbances import disturb
 from lemma.evaluation.protocol.language_controls import FULL, control_of
 from lemma.evaluation.records import STATE, WALL_CLOCK, Row
 from lemma.evaluation.run.evaluate import line_of
@@ -72,8 +73,12 @@ def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollou
     control = control_of(about.get("language", FULL), instance, kind)
     told = (instance, kind, about["horizon_s"], control)
     if together is None:
-        return Rollout(*told)
-    return TeamRollout(*told, expert_poses=together["expert_poses"])
+        rollout = Rollout(*told)
+    else:
+        rollout = TeamRollout(*told, expert_poses=together["expert_poses"])
+    if about.get("disturb"):
+        disturb(rollout.episode, about["disturb"])
+    return rollout
 
 
 def _order_again(

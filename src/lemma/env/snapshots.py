@@ -1,0 +1,34 @@
+"""States of a simulation that can be kept, and gone back to."""
+
+from dataclasses import dataclass
+
+from lemma.core.poses import FloatArray
+from lemma.motion.reservations import WaitingTimes
+from lemma.motion.rmpflow.workspace import ArmTarget
+from lemma.scene.coasting import CoastingState
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSnapshot:
+    """State of an arm's motion, beside the physics."""
+
+    reference: FloatArray
+    """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
+    goal: ArmTarget
+    opening_m: float
+    """Commanded opening of the gripper [m]."""
+    busy_s: float
+    """See :class:`.RobotClock` [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSnapshot:
+    """A simulation between two sub-tasks or control steps."""
+
+    physics: FloatArray
+    """The full integration state."""
+    arms: dict[str, ArmSnapshot]
+    coasting: CoastingState
+    """How far each object has moved by itself."""
+    waiting: WaitingTimes
+    """How long arms waited for others so far."""
