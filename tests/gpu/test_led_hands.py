@@ -10,6 +10,7 @@ pytest.importorskip(
 from torch import Tensor  # noqa: E402
 
 from lemma.policies.control.hand_steps import Arms  # noqa: E402
+from lemma.warp.episodes import JOINT_STEP_RAD  # noqa: E402
 from lemma.warp.hands import (  # noqa: E402
     STEP_M,
     TURN_RAD,
@@ -89,3 +90,18 @@ def test_a_hand_goes_where_it_is_led() -> None:
         env.aim[0, 0, 3:].tolist(), abs=0.05
     )
     assert float(left.abs().max()) < 0.01
+
+
+def test_joints_are_led_two_steps_ahead_and_stay_in_range() -> None:
+    env = GpuVecEnv("reach_fixed", 1, pool=1, control="delta_joint", device="cpu")
+    env.reset(seed=0)
+    env._action.fill_(1.0)
+    here = env.qpos[:, env.joint_at].flatten(1)
+    for _ in range(5):
+        env._command()
+    ahead = 2.0 * JOINT_STEP_RAD
+    assert torch.allclose(env._wanted, here + ahead, atol=1e-5)
+    env.qpos[:, env.joint_at] = env.joint_range
+    for _ in range(5):
+        env._command()
+    assert torch.equal(env._wanted, env.joint_range.flatten()[None])

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from lemma.env.control.pose_controllers import LEASH_STEPS
 from lemma.policies.control.hand_starts import starts
 from lemma.policies.control.hand_steps import advance, joints, openings, pace
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -133,12 +134,18 @@ class Episodes(Worlds):
             grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
         elif self.control == "delta_joint":
             rows = rows.clamp(-1, 1)
-            now = now + JOINT_STEP_RAD * rows[..., :6]
+            now = self._led(now + JOINT_STEP_RAD * rows[..., :6])
             grip = (0.5 + 0.5 * rows[..., 6]) * FINGER_OPENING_M
         else:
             now, grip = rows[..., :6], rows[..., 6]
         self._wanted.copy_(now.reshape(n, -1))
         self.ctrl[:, self._at["grips"]] = grip
+
+    def _led(self, wanted: Tensor) -> Tensor:
+        """Return joint angles in range, at most two steps ahead of the arms."""
+        here, leash = self.qpos[:, self.joint_at], LEASH_STEPS * JOINT_STEP_RAD
+        near = torch.minimum(torch.maximum(wanted, here - leash), here + leash)
+        return torch.minimum(torch.maximum(near, -self.joint_range), self.joint_range)
 
     def _judge(self) -> dict[str, Any]:
         """Return what follows from the physics, after new beginnings where needed."""

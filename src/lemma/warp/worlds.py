@@ -76,6 +76,8 @@ class Worlds:
         self.joint_at = torch.tensor(
             [[*range(r.qpos.start, r.qpos.stop)] for r in self.robots], device=device
         )
+        ranges = [list(arm.joint_range) for arm in arms]
+        self.joint_range = torch.tensor(ranges, dtype=torch.float32, device=device)
         self._make_places()
 
         def zeros(*shape: int, dtype: Any = torch.float32) -> Tensor:
