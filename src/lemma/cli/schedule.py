@@ -1,5 +1,10 @@
 """`lemma schedule`: who does what when, in the least time, as a Gantt chart of text."""
 
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
 from lemma.cli.options import (
     JsonFlag,
     MaybeTask,
@@ -9,8 +14,14 @@ from lemma.cli.options import (
     print_named,
 )
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
+from lemma.core.files import write_text
+from lemma.env.simulation import Simulation
 from lemma.evaluation.protocol.schedules import executed_s, schedule_of
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.pddl import to_pddl
 from lemma.planning.schedule import Schedule
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.tasks.instance import Instance
 
 _WIDTH = 64
 """Columns of the chart."""
@@ -20,6 +31,7 @@ _SIGNS = "0123456789abcdefghijklmnopqrstuvwxyz"
 def schedule(
     task: MaybeTask = None,
     which: SelectionOptions = DEFAULT,
+    export: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Print the schedule of least makespan of an instance: who does what when.
@@ -27,9 +39,15 @@ def schedule(
     Args:
         task: Name of the task, unless the instance is in a file.
         which: Which instance.
+        export: Folder for domain.pddl and problem.pddl, the instance as a temporal
+            planning problem, and instance.json; nothing is scheduled then.
         as_json: Print a JSON object instead.
     """
     instance = select_instance(task, which)
+    if export is not None:
+        for path in write_export(instance, export):
+            output().print(str(path), soft_wrap=True)
+        return 0
     with messages().status("Scheduling ..."):
         found = schedule_of(instance)
     oracle_s, path = executed_s(instance), found.critical_path()
@@ -54,6 +72,28 @@ def schedule(
         said = f"{robot}: {sub.primitive} {sub.pick} to {sub.place}"
         output().print(f"{_SIGNS[k]}  {times}  {said}", soft_wrap=True)
     return 0
+
+
+def write_export(instance: Instance, folder: Path) -> tuple[Path, ...]:
+    """Write an instance for planners of others; return the files.
+
+    Raises:
+        InvalidConfigError: It cannot be told in PDDL.
+    """
+    name = instance.key.replace("/", "-")
+    scene, grounder = (
+        Simulation(instance.scene).scene,
+        GeometricGrounder(instance.scene),
+    )
+    told = to_pddl(name, SymbolicState.observe(scene), instance.goal, grounder)
+    texts = {
+        "domain.pddl": told.domain,
+        "problem.pddl": told.problem,
+        "instance.json": instance.to_json(),
+    }
+    for file, text in texts.items():
+        write_text(folder / file, text)
+    return tuple(folder / file for file in texts)
 
 
 def gantt(found: Schedule, robots: tuple[str, ...]) -> list[str]:

@@ -1,0 +1,178 @@
+"""Instances as temporal planning problems in PDDL 2.1, for planners of others.
+
+A robot *brings* a thing from where it lies onto another one or into a region, which
+takes the first :data:`~lemma.planning.schedule.PLACED` of the predicted time; then it
+*goes home* and is free again. Who reaches what, and how long all of it takes, is the
+planner's geometry. The sectors that arms reserve are not in it, nor that a robot may
+fetch while the place for its load is not ready. So a plan of least makespan is neither
+a bound for nor a schedule of :mod:`lemma.planning.schedule`.
+"""
+
+from dataclasses import dataclass
+
+from lemma.core.errors import InvalidConfigError
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.schedule import PLACED
+from lemma.planning.symbolic_state import TABLE, SymbolicState
+from lemma.scene.objects.entity import STICK
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.subtask import Primitive
+
+DOMAIN = "lemma-teams"
+
+_BRING = """
+ (:durative-action bring-{name}
+  :parameters (?r - robot ?c - cargo ?from - support ?l - place {to})
+  :duration (= ?duration (bring-time ?r ?l ?m))
+  :condition (and (at start (free ?r)) (at start (on ?c ?from)) (at start (at ?c ?l))
+   (at start (clear ?c)) (over all (reaches ?r ?l)) (over all (reaches ?r ?m)){ready})
+  :effect (and (at start (not (free ?r))) (at start (not (on ?c ?from)))
+   (at start (not (at ?c ?l))) (at start (not (clear ?c))){closes}
+   (at end (on ?c {below})) (at end (at ?c ?m)) (at end (clear ?c))
+   (at end (clear ?from)) (at end (away ?r ?m))))
+"""
+
+_HEAD = f"""(define (domain {DOMAIN})
+ (:requirements :typing :fluents :durative-actions)
+ (:types robot support - object place thing - support region spot - place
+  cargo pad - thing)
+ (:predicates (free ?r - robot) (away ?r - robot ?l - place)
+  (reaches ?r - robot ?l - place) (on ?c - cargo ?s - support)
+  (at ?t - thing ?l - place) (clear ?s - support))
+ (:functions (bring-time ?r - robot ?l ?m - place)
+  (home-time ?r - robot ?l - place))
+"""
+
+_HOME = """
+ (:durative-action go-home
+  :parameters (?r - robot ?l - place)
+  :duration (= ?duration (home-time ?r ?l))
+  :condition (at start (away ?r ?l))
+  :effect (and (at start (not (away ?r ?l))) (at end (free ?r))))
+)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Pddl:
+    """A temporal planning problem."""
+
+    domain: str
+    """The same for every instance."""
+    problem: str
+
+
+def to_pddl(
+    name: str, now: SymbolicState, goal: Goal, grounder: GeometricGrounder
+) -> Pddl:
+    """Return an instance as a planning problem.
+
+    Args:
+        name: Of the problem.
+        now: Where things are at the beginning.
+        goal: The goal.
+        grounder: Of the same scene.
+
+    Raises:
+        InvalidConfigError: The goal is about hands, or the planner finds no plan of
+            moves alone: dragging with the stick is geometry, not symbols.
+    """
+    plan = find_plan(now, goal, grounder)
+    moves = plan is not None and all(
+        step.primitive is Primitive.MOVE and step.pick != STICK
+        for step in plan.subtasks
+    )
+    if not moves or not all(isinstance(part, On) for part in goal.conjuncts):
+        raise InvalidConfigError(
+            f"{name} cannot be told in PDDL: its goal is not reached by moving cubes "
+            "alone. Choose an instance of a task without the stick and without hands "
+            "in its goal, such as relay."
+        )
+    return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
+
+
+def _domain() -> str:
+    onto = _BRING.format(
+        name="onto",
+        to="?to - thing ?m - place",
+        below="?to",
+        ready="\n   (over all (at ?to ?m)) (at start (clear ?to))",
+        closes=" (at start (not (clear ?to)))",
+    )
+    into = _BRING.format(name="into", to="?m - region", below="?m", ready="", closes="")
+    return _HEAD + onto + into + _HOME
+
+
+class _Problem:
+    """The facts of one situation."""
+
+    def __init__(
+        self, now: SymbolicState, goal: Goal, grounder: GeometricGrounder
+    ) -> None:
+        self._now, self._goal, self._grounder = now, goal, grounder
+        self._things = [name for name in now.poses if name != STICK]
+        self._spots = {
+            f"spot_{name}": now.poses[name]
+            for name in self._things
+            if now.supports.get(name, TABLE) == TABLE
+        }
+        places = {name: one.free_spot(()) for name, one in grounder.regions.items()}
+        self._regions = {name: pose for name, pose in places.items() if pose}
+
+    def text(self, name: str) -> str:
+        """Return the problem."""
+        cargo = [thing for thing in self._things if thing in self._now.supports]
+        pads = [thing for thing in self._things if thing not in cargo]
+        objects = (
+            (self._grounder.robots, "robot"),
+            (cargo, "cargo"),
+            (pads, "pad"),
+            (self._regions, "region"),
+            (self._spots, "spot"),
+        )
+        told = "\n  ".join(f"{' '.join(n)} - {kind}" for n, kind in objects if n)
+        facts = "\n  ".join((*self._lies(), *self._reach()))
+        goals = " ".join(f"(on {top} {bottom})" for top, bottom in self._goal.pairs)
+        return (
+            f"(define (problem {name})\n (:domain {DOMAIN})\n (:objects\n  {told})\n"
+            f" (:init\n  {facts})\n (:goal (and {goals}))\n"
+            " (:metric minimize (total-time)))\n"
+        )
+
+    def _lies(self) -> list[str]:
+        """Return where robots and things are."""
+        found = [f"(free {robot})" for robot in self._grounder.robots]
+        for name in self._things:
+            below = self._now.supports.get(name, TABLE)
+            if name in self._now.supports:
+                where = f"spot_{name}" if below == TABLE else below
+                found.append(f"(on {name} {where})")
+            lowest = name
+            while self._now.supports.get(lowest, TABLE) != TABLE:
+                lowest = self._now.supports[lowest]
+            found.append(f"(at {name} spot_{lowest})")
+            if self._now.on_top_of(name) is None:
+                found.append(f"(clear {name})")
+        return found
+
+    def _reach(self) -> list[str]:
+        """Return who reaches what, and how long it takes."""
+        found = []
+        for number, robot in enumerate(self._grounder.robots):
+            regions = self._now.spec.regions
+            near = {
+                name: pose
+                for name, pose in self._spots.items()
+                if self._grounder.reaches(robot, pose)
+            } | {n: p for n, p in self._regions.items() if number in regions[n]}
+            for place, pose in near.items():
+                home_s = (1.0 - PLACED) * self._grounder.duration_s(robot, pose, pose)
+                found.append(f"(reaches {robot} {place})")
+                found.append(f"(= (home-time {robot} {place}) {home_s:.2f})")
+                for other, end in near.items():
+                    bring_s = PLACED * self._grounder.duration_s(robot, pose, end)
+                    found.append(
+                        f"(= (bring-time {robot} {place} {other}) {bring_s:.2f})"
+                    )
+        return found
