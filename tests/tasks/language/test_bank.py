@@ -36,10 +36,11 @@ def kinds_of(template: Template) -> tuple[tuple[str, str], ...]:
 def goals_of(template: Template) -> list[GoalPairs]:
     """A fourth of the goals of a template with one conjunct, ten of the others."""
     if kinds_of(template) == (("cube", "pad"),):
-        return [((f"{a}_cube", f"{b}_pad"),) for a in COLORS for b in COLORS][::4]
+        pairs = [*itertools.product(COLORS, COLORS)][::4]
+        return [((f"{a}_cube", f"{b}_pad"),) for a, b in pairs]
     if kinds_of(template) == (("cube", "cube"),):
-        ordered = itertools.permutations(COLORS, 2)
-        return [((f"{a}_cube", f"{b}_cube"),) for a, b in ordered][::4]
+        pairs = [*itertools.permutations(COLORS, 2)][::4]
+        return [((f"{a}_cube", f"{b}_cube"),) for a, b in pairs]
     kind = kinds_of(template)[0][1]
     return [
         ((f"{a}_cube", f"{b}_{kind}"), (f"{c}_cube", f"{d}_{kind}"))
