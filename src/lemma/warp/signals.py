@@ -32,10 +32,14 @@ class Signals:
         self._goal = env.pool.goal
         scene = env.pool.scene
         self._kinds = [kind_of(name) for name in scene.object_names]
-        self._free = [scene.qpos_of(name) for name in scene.movable_names]
-        self._dofs = [
-            int(scene.model.joint(name).dofadr[0]) for name in scene.movable_names
-        ]
+        free = [scene.qpos_of(name) for name in scene.movable_names]
+        dofs = [int(scene.model.joint(name).dofadr[0]) for name in scene.movable_names]
+        self._free = torch.tensor(free, device=env.device)[:, None] + torch.arange(
+            7, device=env.device
+        )
+        self._dofs = torch.tensor(dofs, device=env.device)[:, None] + torch.arange(
+            6, device=env.device
+        )
         self._slots, self._count = len(self._kinds), len(env.robots)
 
     def look(self) -> None:
@@ -43,12 +47,11 @@ class Signals:
         env = self._env
         self._parts: dict[tuple[int, int], Tensor] = {}
         poses = env._rows["fixed"][env.instance].clone()
+        moving = len(self._free)
+        poses[:, :moving] = env.qpos[:, self._free]
+        speeds = env.qvel[:, self._dofs].view(len(poses), moving, 2, 3)
         motion = poses.new_zeros(len(poses), self._slots, 2)
-        for k, (at, dof) in enumerate(zip(self._free, self._dofs, strict=True)):
-            poses[:, k] = env.qpos[:, at : at + 7]
-            for i in range(2):
-                part = env.qvel[:, dof + 3 * i : dof + 3 * i + 3]
-                motion[:, k, i] = torch.linalg.vector_norm(part, dim=-1)
+        motion[:, :moving] = torch.linalg.vector_norm(speeds, dim=-1)
         self.at, self._turn = poses[..., :3], poses[..., 3:]
         self._rests = (motion[..., 0] < REST_M_S) & (motion[..., 1] < REST_RAD_S)
         self._touch = env.touch
