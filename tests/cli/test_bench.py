@@ -1,4 +1,5 @@
 import json
+import sys
 from functools import partial
 
 import pytest
@@ -97,3 +98,20 @@ def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["look_ms"] == 0.0
     assert found["success_rate"] == 1.0
     assert found["peak_mb"] > 50
+
+
+def test_many_tables_need_an_extra_and_their_number_needs_them(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "lemma.bench.worlds", raising=False)
+    monkeypatch.setitem(sys.modules, "warp", None)
+    assert run("bench", "--gpu") == 2
+    assert "--gpu needs warp: pip install 'lemma-bench[warp]'" in one_line(capsys)
+    assert run("bench", "--worlds", "8") == 2
+    assert "--worlds goes with --gpu" in one_line(capsys)
+    assert run("bench", "--gpu", "--worlds", "0") == 2
+    assert "from 1 up, not 0" in one_line(capsys)
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    return " ".join(capsys.readouterr().err.split())
