@@ -45,8 +45,8 @@ def schedule(
     """
     instance = select_instance(task, which)
     if export is not None:
-        for path in write_export(instance, export):
-            output().print(str(path), soft_wrap=True)
+        for file in write_export(instance, export):
+            output().print(str(file), soft_wrap=True)
         return 0
     with messages().status("Scheduling ..."):
         found = schedule_of(instance)
