@@ -9,9 +9,10 @@ from watched_sectors import watch_sectors
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import Simulation
+from lemma.env.simulation import Ended, Simulation
 from lemma.motion.arm_motion import largest_turn
 from lemma.motion.staying import HOME_RAD
+from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import load_instance
@@ -108,3 +109,19 @@ def test_what_a_hand_still_holds_is_put_down_while_others_work() -> None:
     ended = [*simulation.advance(), *simulation.advance()]
     assert [one.result.outcome for one in ended] == ["success", "success"]
     assert not simulation.scene.coasting.is_thrown
+
+
+def test_a_load_is_put_down_when_a_late_robot_has_cleared_its_place() -> None:
+    simulation = Simulation(TABLE)
+    watch = watch_sectors(simulation)
+    paces = {"robot_0": 0.25}
+    simulation.pace = lambda robot, start_s, now_s: paces.get(robot, 1.0)
+    simulation.begin(move(RED, Pose2(-0.2, -0.2)))
+    simulation.begin(move(GREEN, RED, "robot_1"), leaving={"red_cube": "robot_0"})
+    ended = list[Ended]()
+    while simulation.busy:
+        ended += simulation.advance()
+    assert [one.result.outcome for one in ended] == ["success", "success"]
+    z_m = simulation.scene.position("green_cube")[2]
+    assert z_m == pytest.approx(kind_of("green_cube").origin_m, abs=0.002)
+    assert watch.least_m > 0.05

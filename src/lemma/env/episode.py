@@ -1,6 +1,7 @@
 """One instance being executed: sub-tasks so far, time, success."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from lemma.core.errors import InvalidConfigError, ResetNeededError
 from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
 from lemma.env.snapshots import SimulationSnapshot
 from lemma.env.stages import StageState, StageWatch
+from lemma.motion.leaving import NOTHING_LEAVES
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import Instance
@@ -37,6 +39,8 @@ class BegunSubTask:
     grounded: GroundedSubTask
     start_s: float
     """Simulated time at which it began [s]."""
+    leaving: tuple[tuple[str, str], ...] = ()
+    """Things that must be gone before it puts something down, and who takes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +197,14 @@ class Episode:
         self.conclude()
         return result
 
-    def begin(self, grounded: GroundedSubTask) -> None:
+    def begin(
+        self, grounded: GroundedSubTask, leaving: Mapping[str, str] = NOTHING_LEAVES
+    ) -> None:
         """Give a grounded sub-task to a free robot, while others may be at work.
+
+        Args:
+            grounded: The sub-task.
+            leaving: See :meth:`.Simulation.begin`.
 
         Raises:
             ResetNeededError: The episode is over.
@@ -207,8 +217,9 @@ class Episode:
             )
         if not self.simulation.busy:
             self._quiet, self._begun = self.snapshot(), []
-        self.simulation.begin(grounded, until_s=self.horizon_s)
-        self._begun.append(BegunSubTask(grounded, self.simulation.time_s))
+        self.simulation.begin(grounded, self.horizon_s, leaving)
+        there = tuple(leaving.items())
+        self._begun.append(BegunSubTask(grounded, self.simulation.time_s, there))
 
     def advance(self, until_s: float = math.inf) -> tuple[ExecutedSubTask, ...]:
         """Let time pass until a busy robot becomes free.
@@ -311,7 +322,7 @@ class Episode:
         try:
             for one in snapshot.begun:
                 self._pass_until(one.start_s)
-                self.begin(one.grounded)
+                self.begin(one.grounded, dict(one.leaving))
             self._pass_until(snapshot.until_s)
         finally:
             observers[:] = kept

@@ -5,7 +5,7 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,9 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
-from lemma.env.snapshots import ArmSnapshot, SimulationSnapshot
+from lemma.env.snapshots import ArmSnapshot, RobotClock, SimulationSnapshot
 from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.leaving import NOTHING_LEAVES
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import Reservations
 from lemma.motion.skills import Skill, SkillRunner
@@ -36,18 +37,6 @@ Pace = Callable[[str, float, float], float]
 usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
-
-
-@dataclass
-class RobotClock:
-    """How one robot spends its time."""
-
-    busy_s: float = 0.0
-    """Executing sub-tasks [s]."""
-
-    def idle_s(self, elapsed_s: float) -> float:
-        """Return the time spent waiting so far [s]."""
-        return max(0.0, elapsed_s - self.busy_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +188,12 @@ class Simulation:
         self._begin(subtask, until_s)
         return self.advance()[0].result
 
-    def begin(self, subtask: GroundedSubTask, until_s: float = HORIZON_S) -> None:
+    def begin(
+        self,
+        subtask: GroundedSubTask,
+        until_s: float = HORIZON_S,
+        leaving: Mapping[str, str] = NOTHING_LEAVES,
+    ) -> None:
         """Give a grounded sub-task to a free robot; :meth:`advance` carries it out.
 
         Arms that stay over the table, free, make way for it where they must.
@@ -207,6 +201,8 @@ class Simulation:
         Args:
             subtask: The sub-task.
             until_s: Simulated time at which to break it off [s].
+            leaving: Things that must be gone before it puts something down there, each
+                with the robot that takes it away.
 
         Raises:
             InvalidActionError: The robot is busy.
@@ -214,9 +210,14 @@ class Simulation:
         """
         if not self._running:
             self._skills.staying.begin()
-        self._begin(subtask, until_s)
+        self._begin(subtask, until_s, leaving)
 
-    def _begin(self, subtask: GroundedSubTask, until_s: float) -> None:
+    def _begin(
+        self,
+        subtask: GroundedSubTask,
+        until_s: float,
+        leaving: Mapping[str, str] = NOTHING_LEAVES,
+    ) -> None:
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
         if subtask.robot in self._running:
@@ -224,6 +225,7 @@ class Simulation:
                 f"{subtask.robot} is busy. Only a free robot can begin a sub-task."
             )
         self._skills.staying.work(subtask.robot)
+        self._skills.leaving.note(subtask.robot, leaving)
         skill = self._skills.run(subtask)
         self._running[subtask.robot] = _Running(
             subtask, skill, self.time_s, until_s, self.scene.fallen

@@ -1,4 +1,4 @@
-"""States of a simulation that can be kept, and gone back to."""
+"""States of a simulation that can be kept and gone back to, and clocks of robots."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,18 @@ from lemma.core.poses import FloatArray
 from lemma.motion.reservations import WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.scene.coasting import CoastingState
+
+
+@dataclass
+class RobotClock:
+    """How one robot spends its time."""
+
+    busy_s: float = 0.0
+    """Executing sub-tasks [s]."""
+
+    def idle_s(self, elapsed_s: float) -> float:
+        """Return the time spent waiting so far [s]."""
+        return max(0.0, elapsed_s - self.busy_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,15 @@
 
 Before a stage of a sub-task begins, its arm reserves all that it will sweep: from where
 its hand is, as its base turns, to where it will work, and on to where it waits. Sectors
-of two arms never overlap, so an arm whose sector is taken waits where it is. An arm
-that goes home gives up what it has left behind.
+never overlap, so an arm whose sector is taken waits where it is. One that goes home
+gives up what it has left behind.
 
 An arm may hold one sector and wait for another, so arms may wait for each other in a
 circle. Then the one that began last takes home what it carries, which it can always do:
 its way home is part of what it holds. There it holds nothing, and what it reserves next
-takes it to the end of its sub-task. So each sub-task retreats at most once, and some
-arm can always go on. A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as
-``deadlock``. An arm that is free but not at home holds its way home from where it stays
-(:mod:`lemma.motion.staying`).
+takes it to the end of its sub-task. So each retreats at most once, and some arm can go
+on. A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as ``deadlock``. An arm
+that is free but not at home holds its way home (:mod:`lemma.motion.staying`).
 """
 
 import math
@@ -137,7 +136,12 @@ class Reservations:
 
     def is_alone(self, robot: str) -> bool:
         """Whether no other robot holds a sector."""
-        return not self._holders.keys() - {robot}
+        return self._holders.keys() <= {robot}
+
+    def is_at_work(self, robot: str) -> bool:
+        """Whether a robot holds a sector for a sub-task, or waits for one."""
+        holds = robot in self._holders and not self._holders[robot].stays
+        return holds or robot in self.waits
 
     def ask(self, robot: str, goals: Sequence[Pose2], *, stick: bool = False) -> bool:
         """Reserve what an arm sweeps from where it is, in place of what it holds.
@@ -265,10 +269,8 @@ class Reservations:
     def _tell(self, wait: Wait, verdict: Verdict) -> None:
         if wait.verdict is not verdict:
             wait.verdict = verdict
-            if verdict is Verdict.RETREAT:
-                self.times.retreats += 1
-            else:
-                self.times.deadlocks += 1
+            self.times.retreats += verdict is Verdict.RETREAT
+            self.times.deadlocks += verdict is Verdict.FAIL
 
     def _stuck(self, order: Sequence[str]) -> list[str]:
         """Return those who hold something and wait for each other, to no end.

@@ -16,11 +16,12 @@ from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2, wrap
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion, largest_turn
+from lemma.motion.leaving import Leaving
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand, between
 from lemma.motion.obstacles import Obstacles
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
 from lemma.motion.reservations import Reservations, Verdict
-from lemma.motion.staying import StayingArms
+from lemma.motion.staying import HOME_RAD, StayingArms
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
@@ -40,7 +41,6 @@ DRAG_SPEED_M_S = 0.2
 _TICK_S = 0.01
 _MIND_TICKS = 5
 """Servo ticks between two looks at what arms have left behind: 50 ms."""
-_HOME_RAD = 0.05
 _MEETING_M = 0.05
 _MEETING_M_S = 0.1
 """The stick meets the cube slowly: a knock would send it ahead."""
@@ -66,6 +66,7 @@ class SkillRunner:
         """Of those at work, and of those that are free but not at home."""
         self._obstacles = Obstacles(arms)
         self._felt: dict[str, tuple[Pose2 | None, str | None]] = {}
+        self.leaving = Leaving(arms, self.reservations)
         self.staying = StayingArms(arms, self.reservations, self.feel)
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
@@ -106,7 +107,7 @@ class SkillRunner:
                 )
             if wait.verdict is Verdict.RETREAT:
                 arm.follow_posture(arm.park)
-                if largest_turn(arm.measured, arm.park) < _HOME_RAD:
+                if largest_turn(arm.measured, arm.park) < HOME_RAD:
                     table.give_up(name)
             yield
         return self.scene.time_s > since
@@ -158,10 +159,9 @@ class SkillRunner:
     def _begin(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Reserve the first stage; all of a sub-task that does not ask on its way."""
         stick = self.surface(subtask.pick)[1] == STICK
-        if SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare):
-            yield from self._enter(arm, subtask.pick, stick=stick)
-        else:
-            yield from self._enter(arm, subtask.pick, subtask.place, stick=stick)
+        asks = SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare)
+        goals = (subtask.pick,) if asks else (subtask.pick, subtask.place)
+        yield from self._enter(arm, *goals, stick=stick)
 
     def move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Pick up what lies at the pick pose, and put it down at the place pose."""
@@ -222,6 +222,10 @@ class SkillRunner:
         yield from moves.rise(low, over[2] - FLY_BY_M)
         moves.check_held()
         waited = yield from self._enter(arm, subtask.place, stick=stick)
+        while self.leaving.is_occupied(name, subtask.place):
+            yield from self.leaving.wait_at_home(arm, subtask.place)
+            yield from self._enter(arm, subtask.place, stick=stick)
+            waited = True
         if waited or not alone:
             # Others may have carried something over the place, or put it there.
             moves.check_held()

@@ -15,11 +15,13 @@ from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameE
 from lemma.core.poses import Pose2
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
 from lemma.env.team.records import Done, Order, TeamState
+from lemma.motion.leaving import ROOM_M
 from lemma.motion.outcome import SkillResult
 from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
 from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.build import TIME_STEP_S
+from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 LOOK_S = 0.05
@@ -129,7 +131,7 @@ class Team:
             InvalidActionError: The robot is busy.
         """
         robot, now_s = option.grounded.robot, self.episode.simulation.time_s
-        self.episode.begin(option.grounded)
+        self.episode.begin(option.grounded, self._leaving(option.grounded, option))
         self.orders[robot] = Order(
             option.subtask, option.grounded, now_s, option, before
         )
@@ -173,8 +175,25 @@ class Team:
             subtask, poses, start_s, option, expected, needs, grounded is not None
         )
         if not needs:
-            self.episode.begin(poses)
+            self.episode.begin(poses, self._leaving(poses, option))
         return None
+
+    def _leaving(
+        self, grounded: GroundedSubTask, option: GroundedOption | None
+    ) -> dict[str, str]:
+        """Return what lies where a robot puts something, and who takes that away."""
+        if option is None or option.subtask.primitive is not Primitive.MOVE:
+            return {}
+        scene, found = self.episode.simulation.scene, dict[str, str]()
+        for robot, order in self.orders.items():
+            other = order.subtask
+            if robot == grounded.robot or other is None or other.pick in scene.fallen:
+                continue
+            moves = other.primitive is Primitive.MOVE and other.pick != STICK
+            if moves and other.pick not in (option.subtask.pick, option.subtask.place):
+                near_m = scene.pose2(other.pick).distance(grounded.place)
+                found |= {other.pick: robot} if near_m < ROOM_M else {}
+        return found
 
     def refuse(self, subtask: SubTask, result: SkillResult) -> Done:
         """Tell a free robot that it was ordered what has no poses.
@@ -314,7 +333,7 @@ class Team:
             return self._end(Done(robot, order.subtask, None, found, now_s))
         if not order.own_poses and isinstance(found, GroundedOption):
             order = replace(order, option=found, grounded=found.grounded, before=state)
-        self.episode.begin(order.grounded)
+        self.episode.begin(order.grounded, self._leaving(order.grounded, order.option))
         self.orders[robot] = replace(order, waits_for=frozenset())
         return None
 
