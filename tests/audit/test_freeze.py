@@ -4,13 +4,14 @@ import gzip
 import hashlib
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
 from tiers import slow_but
 
 import freeze_instances as freezer
-from freeze_instances import MANIFEST, accept, freeze, write_list
+from freeze_instances import MANIFEST, Accepted, accept, freeze, write_list
 from lemma.core.errors import SamplingError
 from lemma.env.episode import Episode
 from lemma.expert.expert import Expert, ExpertStep, solve
@@ -28,10 +29,15 @@ def test_the_expert_accepts_what_is_frozen(task: str) -> None:
     assert accepted.unsolved >= 0
 
 
+@cache
+def unhindered() -> Accepted:
+    return accept("stack", "free", 4)
+
+
 def test_a_refused_draw_is_counted_and_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    first = accept("stack", "free", 4)
+    first = unhindered()
     assert first.unsolved == 0
     calls: list[Episode] = []
 
@@ -50,7 +56,7 @@ def test_a_refused_draw_is_counted_and_replaced(
 def test_an_instance_that_one_robot_solves_is_counted_and_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    first = accept("stack", "free", 4)
+    first = unhindered()
     asked: list[Instance] = []
 
     def broken_once(instance: Instance) -> str | None:

@@ -14,6 +14,7 @@ from small_tables import (
     stick,
     stretch,
 )
+from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose, Pose2
@@ -159,7 +160,7 @@ def park(simulation: Simulation) -> None:
     simulation.rest(0.2)
 
 
-@pytest.mark.parametrize("arm", ARM_NAMES)
+@pytest.mark.parametrize("arm", slow_but(ARM_NAMES, "ur10"))
 def test_an_arm_over_the_cube_is_a_collision(arm: str) -> None:
     simulation = Simulation(facing(arm, cube("red", 0.05, 0.0)))
     stretch(simulation, (0.05, 0.0, 0.12))
@@ -174,7 +175,7 @@ def test_an_arm_over_the_cube_is_a_collision(arm: str) -> None:
     assert simulation.scene.pose2("red_cube").distance(subtask.place) < 0.006
 
 
-@pytest.mark.parametrize("arm", ARM_NAMES)
+@pytest.mark.parametrize("arm", slow_but(ARM_NAMES, "ur5"))
 def test_an_arm_that_bars_the_way_costs_the_time(arm: str) -> None:
     simulation = Simulation(facing(arm, cube("red", -0.2, -0.4)))
     stretch(simulation, (-0.05, 0.05, 0.3))

@@ -5,6 +5,7 @@ from contextlib import suppress
 
 import pytest
 from small_tables import cube, facing, pad, stick
+from tiers import slow_but
 
 from lemma.core.poses import Pose2
 from lemma.env.simulation import Simulation
@@ -156,7 +157,7 @@ def gap_scene(arm: str) -> tuple[SceneSpec, Pose2]:
     return SceneSpec((user, partner), objects, gap), lying
 
 
-@pytest.mark.parametrize("arm", ["ur5", "ur10"])
+@pytest.mark.parametrize("arm", slow_but(["ur5", "ur10"], "ur10"))
 def test_a_cube_hooked_across_the_gap_falls_and_rests_on_the_floor(arm: str) -> None:
     spec, lying = gap_scene(arm)
     user = spec.robots[0]
@@ -181,7 +182,7 @@ def test_a_cube_hooked_across_the_gap_falls_and_rests_on_the_floor(arm: str) -> 
     assert scene.speed("red_cube") < 1e-3
 
 
-@pytest.mark.parametrize("arm", ["ur5", "ur10"])
+@pytest.mark.parametrize("arm", slow_but(["ur5", "ur10"], "ur5"))
 def test_a_cube_is_poked_away_over_a_gap(arm: str) -> None:
     spec, lying = gap_scene(arm)
     user, partner = spec.robots
