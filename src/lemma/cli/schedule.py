@@ -1,11 +1,9 @@
 """`lemma schedule`: who does what when, in the least time, as a Gantt chart of text."""
 
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from lemma.cli.options import (
+    Folder,
     JsonFlag,
     MaybeTask,
     messages,
@@ -31,7 +29,7 @@ _SIGNS = "0123456789abcdefghijklmnopqrstuvwxyz"
 def schedule(
     task: MaybeTask = None,
     which: SelectionOptions = DEFAULT,
-    export: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    export: Folder = None,
     as_json: JsonFlag = False,
 ) -> int:
     """Print the schedule of least makespan of an instance: who does what when.
