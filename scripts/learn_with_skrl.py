@@ -33,7 +33,7 @@ def layers(numbers: int, out: int) -> torch.nn.Sequential:
     )  # fmt: skip
 
 
-class Actor(GaussianMixin, Model):  # type: ignore[misc]
+class Actor(GaussianMixin, Model):
     """Chooses the action of a robot by its observation."""
 
     def __init__(self, **spaces: Any) -> None:
@@ -49,7 +49,7 @@ class Actor(GaussianMixin, Model):  # type: ignore[misc]
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
 
-class Critic(DeterministicMixin, Model):  # type: ignore[misc]
+class Critic(DeterministicMixin, Model):
     """Estimates the value of a state of all robots."""
 
     def __init__(self, **spaces: Any) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import mujoco_warp as mjw
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 import lemma
 from lemma.core.poses import FloatArray
@@ -39,7 +40,7 @@ class Played:
     begin: FloatArray
     commands: list[FloatArray] = field(default_factory=list)
     """Control inputs of the motors in each physics step."""
-    states: list[tuple[FloatArray, FloatArray, float, FloatArray]] = field(
+    states: list[tuple[FloatArray, FloatArray, float, NDArray[np.float32]]] = field(
         default_factory=list
     )
     """Now and then: positions, velocities, potential, goal state."""

@@ -1,5 +1,7 @@
 """Cameras of many tables see what those of the CPU see; `make test-warp`."""
 
+from typing import Any
+
 import pytest
 
 pytest.importorskip(
@@ -24,7 +26,9 @@ def test_pictures_are_those_of_the_cpu() -> None:
         "lift_varied", 3, pool=4, device="cpu", observation="rgbd", cameras=CAMERAS,
         width=SIZE[0], height=SIZE[1],
     )  # fmt: skip
-    observation, info = env.reset(seed=1)
+    begun: tuple[Any, dict[str, Any]] = env.reset(seed=1)
+    observation, info = begun
+    space: Any = env.observation_space
     rig = CameraRig(*SIZE, "warp")
     for world, number in enumerate(info["instance"].tolist()):
         scene = Episode(env.pool.instances[number]).simulation.scene
@@ -38,7 +42,7 @@ def test_pictures_are_those_of_the_cpu() -> None:
             assert off.mean() < EDGES, (world, name)
             apart = np.abs(depth - expected.depth_m[0, k]) > 0.002
             assert apart.mean() < EDGES, (world, name)
-    assert env.observation_space["pixels"]["robot_0"].shape == (3, SIZE[1], SIZE[0], 3)
+    assert space["pixels"]["robot_0"].shape == (3, SIZE[1], SIZE[0], 3)
     after, *_, told = env.step(torch.zeros(3, env.numbers))
     assert set(after["depth"]) == set(CAMERAS)
     assert "pixels" not in told["final_obs"]

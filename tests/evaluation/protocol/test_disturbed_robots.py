@@ -1,6 +1,7 @@
 """Robots that take other times than expected: the same way, later, in every run."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -70,7 +71,7 @@ def test_a_disturbed_episode_is_played_again_to_the_bit(tmp_path: Path) -> None:
 def test_unknown_disturbances_and_those_of_motor_commands_are_refused(
     tmp_path: Path,
 ) -> None:
-    told = {"out": tmp_path, "tasks": ("pass",)}
+    told: dict[str, Any] = {"out": tmp_path, "tasks": ("pass",)}
     with pytest.raises(UnknownNameError, match="disturbance"):
         EvaluationConfig(**told, policy=PolicySpec("oracle"), disturb="wind")
     control = PolicySpec("oracle", level="control")
