@@ -11,6 +11,7 @@ pytest.importorskip(
 )
 torch = pytest.importorskip("torch")
 
+from torch.overrides import TorchFunctionMode  # noqa: E402
 from torch.utils._python_dispatch import TorchDispatchMode  # noqa: E402
 from torch.utils._pytree import tree_leaves  # noqa: E402
 
@@ -42,6 +43,28 @@ class OnDeviceOnly(TorchDispatchMode):
         if there or any(part in str(func) for part in HOST):
             self.found.append(str(func))
         return func(*args, **(kwargs or {}))
+
+
+class NoLists(TorchFunctionMode):
+    """Notes lists of numbers that become tensors, also as an index."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        name = getattr(func, "__name__", "")
+        indices = name in ("__getitem__", "__setitem__")
+        made = name in ("tensor", "as_tensor", "from_numpy")
+        if made or (indices and any(isinstance(x, list) for x in _parts(args[1]))):
+            self.found.append(f"{name} {args[1:2]}")
+        return func(*args, **(kwargs or {}))
+
+
+def _parts(index: Any) -> tuple[Any, ...]:
+    return index if isinstance(index, tuple) else (index,)
 
 
 def on_meta(value: Any, seen: dict[int, Any]) -> Any:
@@ -78,10 +101,11 @@ def test_a_step_beside_physics_touches_no_host(
             if name not in ("pool", "model", "data"):
                 vars(owner)[name] = on_meta(value, seen)
     env.device = "meta"
-    with torch.no_grad(), OnDeviceOnly() as noted:
+    with torch.no_grad(), OnDeviceOnly() as noted, NoLists() as lists:
         env._command()
         told = env._judge()
     assert noted.found == []
+    assert lists.found == []
     assert told["reward"].device.type == "meta"
 
 

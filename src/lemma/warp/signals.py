@@ -41,6 +41,10 @@ class Signals:
             6, device=env.device
         )
         self._slots, self._count = len(self._kinds), len(env.robots)
+        wanted = [top for top, bottom in self._goal if bottom < 0]
+        others = [k for k in range(self._slots) if k not in wanted]
+        # A list as an index would be copied from the host at each use.
+        self._others = torch.tensor(others, dtype=torch.int64, device=env.device)
 
     def look(self) -> None:
         """Read where objects are now; the hands' poses are those of the environment."""
@@ -111,9 +115,7 @@ class Signals:
 
     def succeeds(self) -> Tensor:
         """Return whether the whole goal holds, with nothing held besides, (n,)."""
-        wanted = [top for top, bottom in self._goal if bottom < 0]
-        others = [k for k in range(self._slots) if k not in wanted]
-        found = ~self.holds[:, others].any(-1).any(-1)
+        found = ~self.holds[:, self._others].any(-1).any(-1)
         for pair in self._goal:
             found = found & self._part(pair)
         return found
