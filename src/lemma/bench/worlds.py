@@ -44,8 +44,9 @@ def measure_worlds(
 
     Returns:
         ``eager_hz``, ``graph_hz`` and ``physics_hz``, control steps per second of all
-        tables; ``outside`` and ``eager_outside``, the share of time outside physics;
-        ``graphed``, ``differences`` of :func:`compare`, ``lost_worlds``, ``ready_s``.
+        tables, the last as if only the physics of these steps took time; ``outside``
+        and ``eager_outside``, the share of time outside physics; ``graphed``,
+        ``differences`` of :func:`compare`, ``lost_worlds``, ``ready_s``.
     """
     start = time.perf_counter()
     steps = steps or (200 if torch.cuda.is_available() else 5)
@@ -55,14 +56,13 @@ def measure_worlds(
     env._age.random_(0, env._horizon)
     _play(env, 2)
     found: dict[str, Any] = {"ready_s": time.perf_counter() - start}
-    eager = _timed(env, steps, lambda: _play(env, 1))
+    eager, eager_physics = _in_play(env, steps)
     start = time.perf_counter()
     env.use_graph(True)
     env._age.random_(0, env._horizon)
     _play(env, 2)
     found["capture_s"] = time.perf_counter() - start
-    whole = _timed(env, steps, lambda: _play(env, 1))
-    physics = _timed(env, steps, env._simulate)
+    whole, physics = _in_play(env, steps)
     parts = {
         "before_ms": 1e3 * _timed(env, steps, env._before),
         "after_ms": 1e3 * _timed(env, steps, env._after),
@@ -77,7 +77,7 @@ def measure_worlds(
         "physics_ms": 1e3 * physics,
         **parts,
         "outside": 1.0 - physics / whole,
-        "eager_outside": 1.0 - physics / eager,
+        "eager_outside": 1.0 - eager_physics / eager,
         "differences": compare(env, min(steps, 20)),
         "lost_worlds": int(env.lost_worlds),
     }
@@ -186,6 +186,40 @@ def _timed(env: GpuVecEnv, steps: int, work: Callable[[], Any]) -> float:
             work()
         _wait(env)
     return (time.perf_counter() - start) / steps
+
+
+def _in_play(env: GpuVecEnv, steps: int) -> tuple[float, float]:
+    """Return the seconds of a step with random actions, and those of its physics.
+
+    Physics alone, called again and again, would be too fast: arms that nobody commands
+    come to rest.
+    """
+    simulate, marks = env._simulate, []
+
+    def noted() -> None:
+        marks.append(_mark(env))
+        simulate()
+        marks.append(_mark(env))
+
+    env._simulate = noted
+    whole = _timed(env, steps, lambda: _play(env, 1))
+    env._simulate = simulate
+    spent = [_between(*marks[i : i + 2]) for i in range(2, len(marks), 2)]
+    return whole, sum(spent) / steps
+
+
+def _mark(env: GpuVecEnv) -> Any:
+    if not env.device.startswith("cuda"):
+        return time.perf_counter()
+    event: Any = torch.cuda.Event(enable_timing=True)  # type: ignore[no-untyped-call]
+    event.record()
+    return event
+
+
+def _between(begin: Any, end: Any) -> float:
+    if isinstance(begin, float):
+        return float(end - begin)
+    return 1e-3 * float(begin.elapsed_time(end))
 
 
 def _wait(env: GpuVecEnv) -> None:
