@@ -15,6 +15,7 @@ WEIGHTS = Path(__file__).parents[3] / "weights"
     [
         ("hand_reach.pt", ("reach_fixed", "reach_varied", "reach")),
         ("hand_lift.pt", ("lift_fixed", "lift_varied", "lift")),
+        ("hand_place.pt", ("place_fixed", "place_varied", "place")),
     ],
 )
 def test_shipped_hands_do_in_every_degree_what_they_learned(
