@@ -98,7 +98,7 @@ _TOGETHER_TARGETS = {
 _GPU_TARGETS = {
     "graph_hz": ("control steps per second, all tables", "{:,.0f}", "≥ 150,000"),
     "eager_hz": ("without CUDA graphs beside physics", "{:,.0f}", ""),
-    "physics_hz": ("physics alone", "{:,.0f}", ""),
+    "physics_hz": ("physics of these steps alone", "{:,.0f}", ""),
     "outside": ("share of time outside physics", "{:.0%}", "≤ 30 %"),
     "eager_outside": ("without CUDA graphs beside physics", "{:.0%}", ""),
     "images_hz": ("RGB-D pictures per second, 128 x 128", "{:,.0f}", "≥ 60,000"),
