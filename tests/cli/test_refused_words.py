@@ -1,4 +1,4 @@
-"""What verbs cannot do is refused in one line, before anything is written."""
+"""Verbs refuse in one line, before anything is written."""
 
 from pathlib import Path
 

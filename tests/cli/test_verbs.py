@@ -162,12 +162,21 @@ def test_a_misspelled_policy_is_understood_without_torch(tmp_path: Path) -> None
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("words", [["tasks"], ["tasks", "--json"], ["show", "–"]])
+@pytest.mark.parametrize(
+    ("words", "encoding", "errors"),
+    [
+        (["tasks"], "latin-1", "strict"),
+        (["tasks"], "ascii", "surrogateescape"),
+        (["tasks", "--json"], "latin-1", "strict"),
+        (["show", "–"], "latin-1", "strict"),
+    ],
+)
 def test_a_locale_that_lacks_letters_gets_others(
-    words: list[str], monkeypatch: pytest.MonkeyPatch
+    words: list[str], encoding: str, errors: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     streams = {
-        n: io.TextIOWrapper(io.BytesIO(), "latin-1") for n in ("stdout", "stderr")
+        name: io.TextIOWrapper(io.BytesIO(), encoding, errors)
+        for name in ("stdout", "stderr")
     }
     for name, stream in streams.items():
         monkeypatch.setattr(sys, name, stream)

@@ -91,7 +91,7 @@ def test_skipped_looks_would_have_seen_the_same(
     seen, told = stages_seen(instance, monkeypatch, always=False)
     wanted, most = stages_seen(instance, monkeypatch, always=True)
     assert seen == wanted
-    # What a hand shall do is looked at all the time that one is near.
+    # Goals of hands are looked at all the time that a hand is near.
     hands = any(HAND in pair for pair in instance.goal.pairs)
     assert told == most if hands else told < most / 2
 

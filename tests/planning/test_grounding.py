@@ -46,7 +46,7 @@ def move(robot: str, pick: str, place: str) -> SubTask:
     return SubTask(robot, Primitive.MOVE, pick, place)
 
 
-# --- What cannot be grounded -------------------------------------------------------
+# --- Refusals ----------------------------------------------------------------------
 
 
 def test_a_robot_that_does_not_exist_is_answered() -> None:
@@ -90,7 +90,7 @@ def test_what_carries_something_is_left_alone() -> None:
     assert grounder.ground(move("robot_0", "red_cube", SHARED), tower) is not None
 
 
-# --- What can ----------------------------------------------------------------------
+# --- Poses -------------------------------------------------------------------------
 
 
 def ground(subtask: SubTask) -> tuple[GroundedOption, SymbolicState, GeometricGrounder]:

@@ -75,7 +75,7 @@ def team(*doing: SubTask, done: tuple[SubTask, ...] = ()) -> TeamInput:
         ((RED, ON_RED), team(), [RED]),
         ((RED, ON_RED), team(RED), []),
         ((RED, ON_RED), team(done=(RED,)), [ON_RED]),
-        # What was done is done again when nobody is at work, if at all.
+        # A sub-task is done again when nobody is at work, if at all.
         ((BLUE, RED, BLUE), team(RED, done=(BLUE,)), []),
         ((BLUE, BLUE), team(done=(BLUE,)), [BLUE]),
         # It stops when nobody is at work.

@@ -147,8 +147,17 @@ def prepare_streams() -> None:
         stream = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-        elif isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+        elif isinstance(stream, io.TextIOWrapper) and _refuses_letters(stream):
             stream.reconfigure(errors="replace")
+
+
+def _refuses_letters(stream: io.TextIOWrapper) -> bool:
+    # The locale "C" takes undecodable names of files ("surrogateescape") and nothing
+    # else beyond ASCII.
+    is_utf8 = codecs.lookup(stream.encoding).name == "utf-8"
+    return stream.errors == "strict" or (
+        stream.errors == "surrogateescape" and not is_utf8
+    )
 
 
 def words(listed: str, every: tuple[str, ...] | None = None) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
     width, height = parse_size(look.size or _SIZES[name])
     if name != "lerobot" and files_in(order.recipe):
         raise InvalidConfigError(
-            "What was led by hand has no keyframes, which lie between sub-tasks. Film "
+            "Episodes led by hand have no keyframes, which lie between sub-tasks. Film "
             "all of it: --form lerobot."
         )
     if look.missed and name != "key-poses":

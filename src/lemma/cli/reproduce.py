@@ -68,7 +68,7 @@ def reproduce(
         return 0
     plan = Reproduction(out=out, weights=weights, split=split, episodes=episodes)
     for result in read_results([out]) if out.exists() else []:
-        check_protocol({"protocol": quote()}, result.about, "What is asked for", out)
+        check_protocol({"protocol": quote()}, result.about, "This command", out)
     engine = working.make_engine()
     for experiment in experiments:
         try:

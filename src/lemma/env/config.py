@@ -189,8 +189,8 @@ class EnvConfig:
     def at_control_level(self) -> Self:
         """Return the options with the control level's cameras and size of images.
 
-        What was chosen stays. Without images all does, for the map is fused from each
-        robot's own camera at its usual size.
+        Chosen values stay. Without images, all stay: the map is fused from each robot's
+        own camera at its usual size.
 
         Raises:
             UnknownNameError: No such observation.

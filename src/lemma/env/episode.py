@@ -295,8 +295,8 @@ class Episode:
     def restore(self, snapshot: EpisodeSnapshot) -> None:
         """Go back to a snapshot of an episode of the same instance.
 
-        Robots that were busy are so again. What they have done is carried out anew,
-        which takes as long as it took, and observers do not see it.
+        Robots that were busy are so again. Their sub-tasks are carried out anew up
+        to then, which takes as long as it took, and observers do not see it.
 
         Raises:
             InvalidConfigError: It was taken of another instance.

@@ -120,7 +120,7 @@ class FirstMove:
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """What a :class:`StageWatch` knows; plain data."""
+    """The state of a :class:`StageWatch`; plain data."""
 
     ticks: int
     near: bool

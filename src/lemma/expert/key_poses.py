@@ -36,7 +36,7 @@ def key_poses(runner: SkillRunner, subtask: GroundedSubTask) -> tuple[KeyPose, .
 
     Args:
         runner: Of the scene, to look at it.
-        subtask: What to do.
+        subtask: The sub-task.
     """
     try:
         held, grip_m = runner.what_to_pick(subtask.pick)

@@ -86,8 +86,8 @@ class TeamWork:
 
         Args:
             team: Its robots; those at work finish what they do.
-            steps: What shall be done after that, in an order in which it can be done
-                one by one.
+            steps: The sub-tasks after that, in an order in which they can be done one
+                by one.
             patient: Whether a sub-task that finds no poses is tried again while others
                 are at work; it may be about what lies below something else.
         """

@@ -44,7 +44,7 @@ class Leaving:
 
         Args:
             robot: Which begins a sub-task.
-            takers: Who takes each thing away, by the thing.
+            takers: The robot that takes each thing away, by the thing.
         """
         self._takers[robot] = takers
 

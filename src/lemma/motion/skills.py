@@ -139,7 +139,7 @@ class SkillRunner:
         self._felt[subtask.robot] = (None, None)
         if Moves(arm).is_full():
             x, y = arm.tcp_pose()[:2, 3].tolist()
-            # What it holds is no obstacle to it.
+            # Its load is no obstacle to it.
             self._felt[subtask.robot] = (None, self.surface(Pose2(x, y))[1])
             yield from self._put_away(arm)
         try:

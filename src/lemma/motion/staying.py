@@ -104,7 +104,7 @@ class StayingArms:
         self._reservations.ask_for_home(arm.robot.name)
         held = self._scene.held().get(arm.robot.name)
         x, y = arm.tcp_pose()[:2, 3].tolist()
-        # What it stands above is no obstacle to a hand that rises.
+        # A thing below a hand is no obstacle to one that rises.
         for _ in Moves(arm).rise_from_here(TRAVEL_HEIGHT_M):
             self._feel(arm, Pose2(x, y), held)
             yield

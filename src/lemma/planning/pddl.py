@@ -2,7 +2,7 @@
 
 A robot *brings* a thing from where it lies onto another one or into a region, which
 takes the first :data:`~lemma.planning.schedule.PLACED` of the predicted time; then it
-*goes home* and is free again. Who reaches what, and how long all of it takes, is the
+*goes home* and is free again. Reach and durations are those of the
 planner's geometry. The sectors that arms reserve are not in it, nor that a robot may
 fetch while the place for its load is not ready. So a plan of least makespan is neither
 a bound for nor a schedule of :mod:`lemma.planning.schedule`.

@@ -68,11 +68,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Who does each sub-task of a plan, and when."""
+    """The robot and the beginning of each sub-task of a plan."""
 
     jobs: tuple[Job, ...]
     robots: tuple[str, ...]
-    """Who does each."""
+    """The robot of each."""
     starts: tuple[int, ...]
     """When each begins [1/100 s]."""
     is_optimal: bool = False
@@ -326,7 +326,7 @@ def in_order(
     Args:
         jobs: The sub-tasks.
         order: Of the sub-tasks; what one depends on comes before it.
-        robots: Who does each; as the plan says if None.
+        robots: The robot of each; as the plan says if None.
         is_optimal: Whether that is known to be of least makespan.
     """
     who = tuple(robots or (job.subtask.robot for job in jobs))

@@ -62,7 +62,7 @@ class TeamMessage(InputMessage, kw_only=True):
         """Return the input.
 
         Args:
-            plain: What a sequential policy is given of it.
+            plain: The part of it that a sequential policy gets.
             views: By number.
         """
         return TeamInput(

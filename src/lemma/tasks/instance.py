@@ -169,7 +169,7 @@ class Instance:
         )
 
     @classmethod
-    def read(cls, text: str | bytes, source: str = "What was given") -> "Instance":
+    def read(cls, text: str | bytes, source: str = "This text") -> "Instance":
         """Make an instance from the JSON of what :meth:`to_dict` returned.
 
         Args:

@@ -67,7 +67,7 @@ def spans_of(
 
     Args:
         instance: The problem.
-        lines: What was done, in any order; those without a sub-task are left out.
+        lines: The sub-tasks, in any order; lines without one are left out.
         until_s: The end of the chart: of the episode, or the present [s].
         todo: Sub-tasks that are planned but have not begun, in order. None if they are
             not known; then nothing is said of robots that are free now.
@@ -180,7 +180,7 @@ def gantt_svg(
 
     Args:
         instance: The problem.
-        lines: What was done.
+        lines: The sub-tasks.
         until_s: As for :func:`spans_of` [s].
         now_s: Place of the cursor [s]; at the beginning if None.
         axis_s: Length of the axis, if it is longer than that [s].

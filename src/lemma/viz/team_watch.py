@@ -11,7 +11,7 @@ from lemma.env.simulation import TICK_S, Simulation
 
 @dataclass(slots=True)
 class _Notes:
-    """What one robot did, in order."""
+    """Waits and ways home of one robot, in order."""
 
     waits: list[tuple[float, float]] = field(default_factory=list)
     """Simulated times from and to which it waited for a region [s]; the last one may

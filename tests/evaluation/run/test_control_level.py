@@ -39,7 +39,7 @@ def with_options(**options: Any) -> Stays:
     return policy
 
 
-# --- What is played ----------------------------------------------------------------
+# --- Episodes ----------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -130,7 +130,7 @@ def command_line(policy: str, out: Path, *words: str) -> object:
     return run("evaluate", "--policy", policy, "--out", out, *few, *words)
 
 
-# --- What is wrong with it ---------------------------------------------------------
+# --- Faults ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

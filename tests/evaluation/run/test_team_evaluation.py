@@ -212,7 +212,7 @@ def test_robots_decide_alone_and_hear_each_other() -> None:
         assert all(message.robot != given.robot for message in given.inbox)
         assert all(step.subtask.robot == given.robot for step in given.past)
     texts = [message["text"] for message in row["together"]["messages"]]
-    # Whoever is asked last has kept all that was said to it.
+    # The robot that is asked last has kept all that was said to it.
     assert [m.text for m in policy.seen[-1].inbox] == [
         text for text in texts if not text.startswith(policy.seen[-1].robot)
     ][: len(policy.seen[-1].inbox)]

@@ -47,7 +47,9 @@ def text(**changes: Any) -> str:
         f"```json {text()} ```",
         f"\ufeff{text()}",
         f"<answer>\n{text()}</answer>",
+        f"{text()}<end_of_turn>\n",
         text(reason="</think>"),
+        text(reason=None),
         text(reason="a b").replace("a b", "a\nb"),
     ],
 )

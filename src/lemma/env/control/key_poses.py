@@ -63,7 +63,7 @@ _TURN_RAD_S = 1.4
 
 
 class Kind(StrEnum):
-    """What happens at a key pose."""
+    """Kinds of key poses, by what the fingers do there."""
 
     STOP = "stop"
     """Nothing: the work is done."""
@@ -133,7 +133,7 @@ class Progress:
     """Where the arms wait, (robots, 5)."""
     robot: int = 0
     legs: tuple[Leg, ...] = ()
-    """What is left to do."""
+    """Those that are left, in order."""
     waited_s: float = -1.0
     """Since the first leg was begun, -1 before."""
     turned: bool = False
@@ -159,7 +159,7 @@ def set_out(progress: Progress, key: KeyPose, hand: FloatArray) -> Progress:
     """Return the motion to a key pose.
 
     Args:
-        progress: What was done before.
+        progress: The motions before it.
         key: Where to go.
         hand: Present pose of that robot's tool centre point, (4, 4).
     """
@@ -305,7 +305,7 @@ def _legs(kind: Kind, at: Stand, hand: Stand, home: FloatArray) -> list[Leg]:
     """Return the way to a key pose, and what follows there.
 
     Args:
-        kind: What happens there; not ``STOP``.
+        kind: Its kind; not ``STOP``.
         at: The key pose.
         hand: Where the hand is.
         home: Where the arm waits, (5,).

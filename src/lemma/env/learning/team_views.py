@@ -16,7 +16,7 @@ from lemma.scene.cameras import RgbImage
 
 
 class _Agents:
-    """What both views share: observations and infos by agent."""
+    """The common part of both views: observations and infos by agent."""
 
     def __init__(self, inner: TeamEnv) -> None:
         self.inner = inner

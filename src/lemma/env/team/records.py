@@ -10,7 +10,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What one robot of a team is doing, or is about to do."""
+    """A sub-task that a robot of a team carries out, or is about to."""
 
     subtask: SubTask | None
     """In symbols; None where only poses are known."""
@@ -44,7 +44,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class TeamState:
-    """What a team knows beside its episode; plain data."""
+    """The state of a team beside that of its episode; plain data."""
 
     orders: dict[str, Order]
     rests: dict[str, float]

@@ -91,7 +91,7 @@ class TeamEnv(LemmaEnv):
 
     @property
     def team(self) -> Team:
-        """Who is free, and what the others do."""
+        """The robots, free ones and those at work with their orders."""
         _ = self.episode
         assert self._team is not None
         return self._team

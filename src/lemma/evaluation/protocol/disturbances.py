@@ -1,6 +1,6 @@
 """Disturbed robots: a policy meets partners that are not as quick as it expects.
 
-What is disturbed is time alone: an arm that is slow goes the same way, and one at rest
+Only time is disturbed: an arm that is slow goes the same way, and one at rest
 stands still wherever it is, with what it holds. No arm is quicker than undisturbed, so
 all durations can only grow. A disturbance is a function of the instance, the robot and
 the time at which its sub-task began: it is the same in every run.

@@ -1,7 +1,7 @@
 """The definitions of the suites beside the paper's, each with a hash of its own.
 
 The protocol holds the rules of all episodes and the paper's suite. The other suites are
-played by the same rules. What defines each of them is hashed apart, so that a suite may
+played by the same rules. The definition of each is hashed apart, so that a suite may
 grow without a change of the protocol that all published results quote. The page
 ``docs/protocol.md`` has these hashes, and a test compares.
 """

@@ -72,7 +72,7 @@ def evaluate(
         note = config.out / ABOUT
         if note.exists() and has_parts(config.out, ABOUT):
             found = read_json(note)
-            check_protocol(about, found, "What is asked for", config.out)
+            check_protocol(about, found, "This command", config.out)
         begin(config.out, ABOUT, about)
         parts = (config.out / PARTS).absolute()
         done = {key_of(row): row for row in read_rows(config.out)}

@@ -103,7 +103,7 @@ class Verdict:
     asked: int = 0
     """How many efforts of its policy were counted so far."""
     together: dict[str, Any] | None = None
-    """What robots at work at the same time did so far; None where they take turns."""
+    """Record of robots that act at the same time; None where they take turns."""
 
 
 @dataclass

@@ -3,8 +3,8 @@
 They are played by the same loop as those in turns, and yield the same verdicts. The
 policy is asked at every decision point of :class:`lemma.env.team.orders.Team`. The
 first order that its robot cannot carry out is the strict end; leniently it costs its
-robot alone some time. What was ordered stands in the line beside what came of it, so
-an episode can be executed again without its policy.
+robot alone some time. A line holds the orders beside their outcomes, so an
+episode can be executed again without its policy.
 """
 
 from collections.abc import Sequence
@@ -79,7 +79,7 @@ class _Given:
 
 @dataclass(frozen=True, slots=True)
 class _Note:
-    """What is remembered of an order that is under way."""
+    """The beginning of an order that is under way."""
 
     subtask: SubTask
     view: View

@@ -51,7 +51,7 @@ FEATURE_NAMES = (
     *(f"{part}_{way}_nearby" for part in ("object", "place") for way in COLUMNS[:3]),
     *(f"lead_{column}" for column in COLUMNS),
 )
-"""What each number is that a policy is given for one robot; see :func:`features`."""
+"""Names of the numbers that a policy gets for one robot; see :func:`features`."""
 FEATURES = len(FEATURE_NAMES)
 
 

@@ -139,10 +139,13 @@ class AnswerFormat:
         wanted = {*_FIELDS, *(["message"] if self.talks else [])}
         if not isinstance(answer, dict):
             raise _not_in_schema("It is no JSON object.")
-        # Models without a schema write null in place of "none".
+        # Models without a schema write null in place of "none" and of no words.
         for field in ("robot", "pick", "place"):
             if field in answer and answer[field] in (None, ""):
                 answer[field] = NONE
+        for field in ("reason", "message"):
+            if answer.get(field, "") is None:
+                answer[field] = ""
         # A server that takes no schema may leave out what nobody needs.
         missing = sorted(wanted - {"reason", "message"} - set(answer))
         if missing:
@@ -214,7 +217,7 @@ _END_OF_THOUGHTS = re.compile(
     re.IGNORECASE,
 )
 """Marks at the end of thoughts, of many language models."""
-_MARK = r"(?:<\|\w+\|>|</?(?:s|answer|response|final|output)>)"
+_MARK = r"(?:<\|\w+\|>|</?(?:s|answer|response|final|output)>|<(?:end_of_turn|eos)>)"
 _MARKS_BEFORE = re.compile(rf"(?:{_MARK}\s*)+", re.IGNORECASE)
 _MARKS_AFTER = re.compile(rf"(?:{_MARK}\s*)+$", re.IGNORECASE)
 _MARKS_LENGTH = 100

@@ -39,7 +39,7 @@ class Doing:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What one robot told all others."""
+    """Words of one robot to all others."""
 
     robot: str
     text: str

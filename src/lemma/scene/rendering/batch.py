@@ -105,7 +105,7 @@ class OpenGLRenderer:
         """Render some states.
 
         Args:
-            scene: What to look at; its own state is left alone.
+            scene: The scene; its own state is left alone.
             qpos: The positions of all joints in each state, shape (states, nq).
             aim: Says which cameras look; as many for every state.
             depth: Whether to render depth too.

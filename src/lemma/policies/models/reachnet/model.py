@@ -290,7 +290,11 @@ class ReachNet(MapModel):
                 for row, poses, reason in rows:
                     subtask = subtask_of(row, batch.entities)
                     done = poses or subtask.primitive is Primitive.STOP
-                    why = "" if done else f"What it needs is not seen: {subtask}."
+                    why = (
+                        ""
+                        if done
+                        else f"Objects that it needs are not seen: {subtask}."
+                    )
                     if reason >= 0:
                         why = WHY[reason]
                     found.append(Decision(subtask, poses, why))
