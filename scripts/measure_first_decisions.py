@@ -39,7 +39,7 @@ def main() -> None:
             rollout = Rollout(instance)
             scene = rollout.episode.simulation.scene
             want, _ = Expert(scene, instance.goal).act()
-            (got,) = planner.plan([rollout.given(rig)])
+            (got,) = planner.plan([rollout.policy_input(rig)])
             for part in PARTS:
                 right[part] += getattr(got, part) == getattr(want, part)
         shares = (f"{part} {right[part] / INSTANCES:.1%}" for part in PARTS)

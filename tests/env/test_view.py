@@ -40,7 +40,7 @@ def test_environment_data_and_evaluation_see_the_same_to_the_bit(task: str) -> N
 
         rollout = Rollout(env.instance)
         rollout.episode.restore(env.episode.snapshot())
-        evaluated = rollout.given(rig).view
+        evaluated = rollout.policy_input(rig).view
 
         scene = Scene(env.instance.scene)
         scene.restore(env.episode.simulation.scene.snapshot())

@@ -53,7 +53,7 @@ def test_right_allocation_mends_a_planner_that_errs_in_it_alone(task: str) -> No
 def test_the_same_question_has_the_same_answer() -> None:
     play = Rollout(load_instance("stack", "test", 0))
     planner = OraclePlanner()
-    inputs = [play.given(None, planner)]
+    inputs = [play.policy_input(None, planner)]
     first = planner.plan(inputs)
     assert planner.plan(inputs) == first
     assert OraclePlanner().plan(inputs) == first
@@ -66,15 +66,15 @@ def test_what_no_robot_can_do_stays_with_the_planner() -> None:
 
     play = Rollout(load_instance("stack", "test", 0))
     mended = GroundTruthAllocation(Wants())
-    [subtask] = mended.plan([play.given(None, mended)])
+    [subtask] = mended.plan([play.policy_input(None, mended)])
     assert subtask.robot == "robot_1"
 
 
 def test_oracles_need_the_truth() -> None:
     play = Rollout(load_instance("stack", "test", 0))
-    blind = play.given(None)
+    blind = play.policy_input(None)
     with pytest.raises(InvalidConfigError, match="learned policy"):
         OraclePlanner().plan([blind])
-    subtask = OraclePlanner().plan([play.given(None, OraclePlanner())])[0]
+    subtask = OraclePlanner().plan([play.policy_input(None, OraclePlanner())])[0]
     with pytest.raises(InvalidConfigError, match="learned policy"):
         OracleGrounder().ground([blind], [subtask])

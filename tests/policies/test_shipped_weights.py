@@ -85,7 +85,7 @@ INSTANCES = (("pass", 0), ("stack", 3), ("hook", 5))
 def test_neither_order_nor_company_changes_a_decision(name: str) -> None:
     player = Player.load(PolicySpec(name))
     plays = [Rollout(load_instance(task, "val", i), "human") for task, i in INSTANCES]
-    inputs = [player.given(play) for play in plays]
+    inputs = [player.policy_input(play) for play in plays]
     together = player.policy.act(inputs)
     last, *others = player.policy.act(inputs[2:]) + player.policy.act(inputs[1::-1])
     for one, other in zip(together, [*others[::-1], last], strict=True):

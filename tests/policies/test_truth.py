@@ -32,7 +32,7 @@ from lemma.policies.interfaces import (
     Policy,
     PolicyInput,
     is_oracle,
-    told,
+    visible_to,
     wants_cameras,
 )
 from lemma.policies.oracle import (
@@ -230,8 +230,8 @@ def test_the_truth_does_not_travel() -> None:
 
 def test_parts_are_told_what_they_may_know(episode: Episode) -> None:
     informed = OracleInput(*parts_of(given()), episode=episode)
-    assert told(OraclePlanner(), [informed]) == [informed]
-    [plain] = told(Spy(), [informed])
+    assert visible_to(OraclePlanner(), [informed]) == [informed]
+    [plain] = visible_to(Spy(), [informed])
     assert type(plain) is PolicyInput
     assert plain.view is informed.view
-    assert told(Spy(), [plain]) == [plain]
+    assert visible_to(Spy(), [plain]) == [plain]

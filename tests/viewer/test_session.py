@@ -162,7 +162,7 @@ def test_it_asks_back_when_two_readings_are_near() -> None:
 @pytest.mark.parametrize("task", SUITE)
 def test_no_sentence_of_the_benchmark_is_taken_for_a_denial(task: str) -> None:
     given = load_instance(task, "test", 1)
-    bank, blind = TASKS[task].language, Rollout(INSTANCE).given(None)
+    bank, blind = TASKS[task].language, Rollout(INSTANCE).policy_input(None)
     for kind in KINDS:
         for template in bank.templates(kind):
             said = template.render(given.goal.pairs)

@@ -123,7 +123,7 @@ def _play(
     play, times = Rollout(instance), []
     while not play.episode.is_over:
         start = time.perf_counter()
-        given = play.given(player.rig, player.policy)
+        given = play.policy_input(player.rig, player.policy)
         seen = time.perf_counter()
         (decision,) = player.policy.act([given])
         times.append((seen - start, time.perf_counter() - seen))

@@ -22,7 +22,7 @@ from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv
 from lemma.env.learning.flat_view import FlatView
 from lemma.evaluation.experiments.reproduction import compared
-from lemma.evaluation.protocol.rules import NAME, departures
+from lemma.evaluation.protocol.rules import NAME, deviations
 from lemma.evaluation.records import Row, key_of
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.control import load_player
@@ -73,7 +73,7 @@ def _attempt(
 
 
 def _protocol() -> tuple[bool, str]:
-    found = departures()
+    found = deviations()
     return not found, "; ".join(found) or f"{NAME}, as it ships"
 
 
@@ -138,7 +138,7 @@ def _asked(player: Player, line: Row) -> Row:
     rollout = player.begin(start_of(line), line["instruction_kind"])
     found = []
     for step in line["subtasks"]:
-        given = player.given(rollout)
+        given = player.policy_input(rollout)
         (now,) = player.policy.act([given])
         poses = now.grounded.to_dict() if now.grounded else None
         found.append({**step, **now.subtask.to_dict(), "grounded": poses})

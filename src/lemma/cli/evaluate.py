@@ -137,15 +137,15 @@ def evaluate(
     """
     # Imported here, so that help does not wait for it.
     from lemma.evaluation.analysis.result import summarise
-    from lemma.evaluation.protocol.rules import NAME, departures
+    from lemma.evaluation.protocol.rules import NAME, deviations
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.tables import rates
     from lemma.evaluation.report.team_table import team_table
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)
-    for departure in departures():
-        complain(f"This is not protocol {NAME}, and its result says so: {departure}.")
+    for deviation in deviations():
+        complain(f"This is not protocol {NAME}, and its result says so: {deviation}.")
     with progress_bar("evaluate", config.total, _AT_INTERRUPT) as advance:
         rows = run(config, working.make_engine(), advance)
     result = summarise(rows, read_about(out), config.command())

@@ -53,7 +53,7 @@ EpisodeKey = tuple[str, str, int]
 """Kind of instruction, task and number: which episode of a result it is."""
 
 
-class Departure(StrEnum):
+class Deviation(StrEnum):
     """Difference of a sub-task from the expert's decision in the same state."""
 
     NONE = ""
@@ -75,7 +75,7 @@ class Feedback(Strict):
     """The expert's own decision; ``stop`` if the goal holds, or no plan is left."""
     left: int | None
     """Sub-tasks of the expert's plan; None where there is no plan."""
-    departure: Departure
+    departure: Deviation
     able: bool | None
     """Whether the robot could do it now; None where none of the robots could."""
     pick_error_mm: float | None

@@ -64,8 +64,8 @@ class Batch:
     """Entities that have a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
     """Decisions of the expert, and the truth; None when a policy is used."""
-    told: Mapping[str, Tensor] = field(default_factory=dict)
-    """Texts and names as tensors, as the model's ``told`` made them; empty if not."""
+    text_tensors: Mapping[str, Tensor] = field(default_factory=dict)
+    """Texts and names as tensors, from the model's method of this name; or none."""
 
     def __len__(self) -> int:
         """Return the number of frames."""

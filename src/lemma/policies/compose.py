@@ -18,7 +18,7 @@ from lemma.policies.interfaces import (
     Policy,
     PolicyInput,
     proposals,
-    told,
+    visible_to,
 )
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -37,7 +37,7 @@ class PlannerWithGrounder(Composite):
         going = [i for i, s in enumerate(subtasks) if s.primitive is not Primitive.STOP]
         if going:
             grounded = self.grounder.ground(
-                told(self.grounder, [inputs[i] for i in going]),
+                visible_to(self.grounder, [inputs[i] for i in going]),
                 [subtasks[i] for i in going],
             )
             for i, found in zip(going, grounded, strict=True):
@@ -59,7 +59,7 @@ class MultiStep(Composite):
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Plan as if nothing had changed on the table."""
         at_first = [_as_at_first(given) for given in inputs]
-        return self.planner.plan(told(self.planner, at_first))
+        return self.planner.plan(visible_to(self.planner, at_first))
 
 
 def _as_at_first(given: PolicyInput) -> PolicyInput:
@@ -82,7 +82,7 @@ class RetryingPlanner(Composite):
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the planner's sub-tasks, each for a robot that was not refused it."""
         untried = [_as_untried(given) for given in inputs]
-        decided = self.planner.plan(told(self.planner, untried))
+        decided = self.planner.plan(visible_to(self.planner, untried))
         return [
             _for_another(given, subtask)
             for given, subtask in zip(inputs, decided, strict=True)
@@ -98,7 +98,7 @@ class RetryingPolicy(Composite):
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the policy's decisions, each for a robot that was not refused it."""
         untried = [_as_untried(given) for given in inputs]
-        decided = self.policy.act(told(self.policy, untried))
+        decided = self.policy.act(visible_to(self.policy, untried))
         found = []
         for given, decision in zip(inputs, decided, strict=True):
             subtask = _for_another(given, decision.subtask)

@@ -128,7 +128,7 @@ def keeps_state(part: object) -> bool:
     return getattr(part, "keeps_state", False) is True
 
 
-def told(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
+def visible_to(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
     """Return inputs as a part of a policy may see them: the truth for oracles alone.
 
     A policy that passes inputs on to a part passes these.
@@ -203,7 +203,7 @@ class Proposer(Protocol):
 
 def proposals(planner: Planner, inputs: Sequence[PolicyInput]) -> list[Decision]:
     """Return what a planner decides, with all that it has to say of it."""
-    given = told(planner, inputs)
+    given = visible_to(planner, inputs)
     if isinstance(planner, Proposer):
         return planner.propose(given)
     return [Decision(subtask, None) for subtask in planner.plan(given)]

@@ -13,7 +13,7 @@ from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
 from lemma.evaluation.analysis.coordination import coordination_of
-from lemma.evaluation.records import Departure, Feedback
+from lemma.evaluation.records import Deviation, Feedback
 from lemma.evaluation.run.expert_feedback import advise, count_steps
 from lemma.evaluation.run.watches import PERIOD_S, ClearanceWatch
 from lemma.expert.expert import Expert, solve
@@ -39,13 +39,13 @@ def other(robot: str) -> str:
 
 def test_the_experts_robot_is_able() -> None:
     said = first_advice("pass")
-    assert (said.able, said.departure) == (True, Departure.NONE)
+    assert (said.able, said.departure) == (True, Deviation.NONE)
 
 
 def test_a_robot_that_cannot_reach_is_not_able() -> None:
     expected = first_advice("pass").expected
     said = first_advice("pass", robot=other(expected.robot))
-    assert (said.able, said.departure) == (False, Departure.ROBOT)
+    assert (said.able, said.departure) == (False, Deviation.ROBOT)
 
 
 def test_what_nobody_can_do_says_nothing_of_the_robot() -> None:

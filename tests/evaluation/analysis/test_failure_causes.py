@@ -8,8 +8,8 @@ from made_up import row, step
 
 from lemma.env.episode import Episode
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of
-from lemma.evaluation.records import Departure
-from lemma.evaluation.run.expert_feedback import advise, departure, left_in
+from lemma.evaluation.records import Deviation
+from lemma.evaluation.run.expert_feedback import advise, deviation, left_in
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.interfaces import Decision, Oracle, PolicyInput
 from lemma.policies.oracle import OracleGrounder, OraclePlanner
@@ -92,20 +92,20 @@ def test_no_mistake_but_too_slow() -> None:
 @pytest.mark.parametrize(
     ("subtask", "expected"),
     [
-        (FIRST, Departure.NONE),
-        (SECOND, Departure.ORDER),
-        (SubTask("robot_1", Primitive.MOVE, "red_cube", "shared"), Departure.ROBOT),
-        (SubTask("robot_0", Primitive.MOVE, "red_cube", "white_pad"), Departure.ROBOT),
-        (SubTask("robot_0", Primitive.HOOK, "stick", "red_cube"), Departure.PRIMITIVE),
-        (SubTask("robot_0", Primitive.MOVE, "blue_cube", "shared"), Departure.OBJECT),
+        (FIRST, Deviation.NONE),
+        (SECOND, Deviation.ORDER),
+        (SubTask("robot_1", Primitive.MOVE, "red_cube", "shared"), Deviation.ROBOT),
+        (SubTask("robot_0", Primitive.MOVE, "red_cube", "white_pad"), Deviation.ROBOT),
+        (SubTask("robot_0", Primitive.HOOK, "stick", "red_cube"), Deviation.PRIMITIVE),
+        (SubTask("robot_0", Primitive.MOVE, "blue_cube", "shared"), Deviation.OBJECT),
     ],
 )
-def test_departures(subtask: SubTask, expected: Departure) -> None:
-    assert departure(subtask, PLAN) is expected
+def test_departures(subtask: SubTask, expected: Deviation) -> None:
+    assert deviation(subtask, PLAN) is expected
 
 
 def test_to_act_where_all_is_done_is_a_wrong_primitive() -> None:
-    assert departure(FIRST, ()) is Departure.PRIMITIVE
+    assert deviation(FIRST, ()) is Deviation.PRIMITIVE
 
 
 class Clumsy(Oracle):
@@ -136,7 +136,7 @@ def test_the_expert_is_asked_while_an_episode_is_played() -> None:
     (over,) = roll_out([play], Player(Clumsy()))
     (taken,) = over.steps
     assert taken.advice.left == 2
-    assert taken.advice.departure is Departure.NONE
+    assert taken.advice.departure is Deviation.NONE
     assert taken.advice.pick_error_mm == pytest.approx(40.0)
     assert taken.advice.place_error_mm is None
 
@@ -145,7 +145,7 @@ def test_the_expert_agrees_with_itself_to_the_end() -> None:
     play = Rollout(load_instance("hook", "val", 0))
     (over,) = roll_out([play], Player.load(PolicySpec()))
     assert [taken.advice.left for taken in over.steps] == [4, 3, 2, 1]
-    assert {taken.advice.departure for taken in over.steps} == {Departure.NONE}
+    assert {taken.advice.departure for taken in over.steps} == {Deviation.NONE}
     assert left_in(over.episode) == 0
 
 

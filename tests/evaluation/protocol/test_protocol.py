@@ -26,7 +26,7 @@ from lemma.evaluation.protocol.language_controls import (
 from lemma.evaluation.protocol.perturbed_starts import SHIFT_M, TURN_RAD
 from lemma.evaluation.protocol.rules import (
     check_protocol,
-    departures,
+    deviations,
     frozen,
     in_force,
     quote,
@@ -42,7 +42,7 @@ from protocol import PAGE, text
 
 
 def test_what_is_in_force_is_what_is_frozen() -> None:
-    assert departures() == [], (
+    assert deviations() == [], (
         "The protocol has changed. Name it anew, and: python scripts/protocol.py"
     )
     # As JSON reads it back.
@@ -69,8 +69,8 @@ def test_another_release_of_mujoco_is_another_protocol(
 
     monkeypatch.setattr(protocol, "in_force", another)
     assert quote() != before
-    (departure,) = departures()
-    assert departure.startswith("physics.mujoco 9.9.9 instead of ")
+    (deviation,) = deviations()
+    assert deviation.startswith("physics.mujoco 9.9.9 instead of ")
 
 
 def test_nothing_is_played_beside_results_of_another_protocol(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def test_causes_are_explained(cases: list[Case]) -> None:
         ("object", "wrong object"),
     ],
 )
-def test_every_departure_is_explained(departure: str, words: str) -> None:
+def test_every_deviation_is_explained(departure: str, words: str) -> None:
     case = made_up(steps=[step(2, departure)], left=2)
     assert words in explanation(case)
 

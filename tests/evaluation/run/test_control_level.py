@@ -276,8 +276,8 @@ def test_who_lets_go_too_early_has_misplaced() -> None:
     player = ControlPlayer(Drops())
     rollout = player.begin(load_instance("pass", "val", 0), "high_level")
     assert isinstance(rollout, ControlRollout)
-    rollout.take(None, Drops().act([player.given(rollout)])[0])
-    seen = rollout.told(rollout.verdict())["control"]
+    rollout.take(None, Drops().act([player.policy_input(rollout)])[0])
+    seen = rollout.fields(rollout.verdict())["control"]
     assert [each["event"] for each in seen["events"]] == ["grasped"]
     assert rollout.actions == 60
 

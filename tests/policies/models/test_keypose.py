@@ -87,7 +87,7 @@ def test_the_experts_key_poses_solve(task: str) -> None:
     player = ControlPlayer(policy)
     rollout: Any = player.begin(load_instance(task, "val", 0), "high_level")
     while not rollout.episode.is_over:
-        given = player.given(rollout)
+        given = player.policy_input(rollout)
         rollout.take(given, policy.act([given])[0])
     assert rollout.episode.is_success
 
@@ -167,9 +167,9 @@ def test_a_model_moves_one_arm_and_looks_again() -> None:
     model = KeyPoseModel(TINY).eval()
     player = ControlPlayer(model)
     rollout: Any = player.begin(load_instance("lift", "val", 0), "high_level")
-    given = player.given(rollout)
+    given = player.policy_input(rollout)
     alone, together = model.act([given])[0], model.act([given, given])[1]
     assert np.array_equal(np.asarray(alone.rows), np.asarray(together.rows))
     rollout.take(given, alone)
     assert rollout.actions == len(np.asarray(alone.rows))
-    assert model.act([player.given(rollout)])[0].memory.legs
+    assert model.act([player.policy_input(rollout)])[0].memory.legs

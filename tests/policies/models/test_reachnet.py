@@ -106,7 +106,7 @@ def test_lessons_for_the_reader_come_behind_the_instructions(
 ) -> None:
     model, batch = tiny(), drawn_batch(4)
     model.reader.config = replace(model.reader.config, lessons=lessons)
-    told = model.told(batch)
+    told = model.text_tensors(batch)
     assert len(told["goal"]) == len(told["reasons"]) == 4 + count
     assert told["words"].shape[1] == 4 + count
     assert (told["reasons"][:4] == -1).all()

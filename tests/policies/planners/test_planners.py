@@ -70,7 +70,7 @@ def planner(server: RuleServer, **options: Any) -> LanguageModelPlanner:
 
 
 def given(sentence: str = "Put the red cube on the blue pad") -> PolicyInput:
-    blind = Rollout(load_instance("pass", "val", 0)).given(None)
+    blind = Rollout(load_instance("pass", "val", 0)).policy_input(None)
     return replace(blind, instruction=sentence, robots=("red robot", "white robot"))
 
 
@@ -239,9 +239,9 @@ def test_the_right_robot_replaces_the_models_and_counts_stay() -> None:
     play = Rollout(instance)
     with chat_server() as server:
         asks = LanguageModelPlanner("rules", ChatOptions(base_url=server.url))
-        expected, *_ = OraclePlanner().plan([play.given(None, asks)])
+        expected, *_ = OraclePlanner().plan([play.policy_input(None, asks)])
         mended = PlannerWithGrounder(GroundTruthAllocation(asks), OracleGrounder())
-        [decision] = mended.act([play.given(None, mended)])
+        [decision] = mended.act([play.policy_input(None, mended)])
     assert decision.subtask == expected
     assert decision.grounded is not None
     assert decision.effort is not None
@@ -273,7 +273,7 @@ def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
 def test_a_rule_says_the_same_again_in_any_order(name: str) -> None:
     [one], [other] = (PolicySpec(name).planners() for _ in range(2))
     plays = [rollout("stack", index) for index in range(4)]
-    inputs = [play.given(None, one) for play in plays]
+    inputs = [play.policy_input(None, one) for play in plays]
     first = one.plan(inputs)
     assert one.plan(inputs) == first
     assert other.plan(inputs[::-1]) == first[::-1]
@@ -281,7 +281,7 @@ def test_a_rule_says_the_same_again_in_any_order(name: str) -> None:
 
 def test_seeds_and_steps_change_a_random_answer() -> None:
     play = rollout("hook_stack")
-    now = play.given(None, RandomValidPlanner())
+    now = play.policy_input(None, RandomValidPlanner())
     past = PastStep(now.view, STOP)
     later = [now.with_past((past,) * count) for count in range(12)]
     found = [RandomValidPlanner(seed).plan(later) for seed in range(3)]
@@ -291,7 +291,7 @@ def test_seeds_and_steps_change_a_random_answer() -> None:
 
 
 def test_a_noisy_oracle_errs_as_often_as_it_is_told() -> None:
-    inputs = [rollout("pass", n).given(None, OraclePlanner()) for n in range(6)]
+    inputs = [rollout("pass", n).policy_input(None, OraclePlanner()) for n in range(6)]
     steps = [
         one.with_past((PastStep(one.view, STOP),) * count)
         for one in inputs
@@ -329,7 +329,7 @@ def test_greedy_stops_where_something_is_lost_or_done() -> None:
     oracle = OraclePlanner()
     for _ in roll_out([play], Player(PolicySpec("oracle").load())):
         pass
-    assert GreedyReachPlanner().plan([play.given(None, oracle)]) == [STOP]
+    assert GreedyReachPlanner().plan([play.policy_input(None, oracle)]) == [STOP]
 
 
 @pytest.mark.parametrize(
@@ -386,7 +386,7 @@ def test_what_is_seen_is_told_in_centimetres() -> None:
     assert not is_oracle(perception)
     play = rollout("hook")
     rig = CameraRig()
-    now = play.given(rig)
+    now = play.policy_input(rig)
     moved = SubTask("robot_0", "move", "red_cube", "blue_pad")  # type: ignore[arg-type]
     for one in (now, now.with_past((PastStep(now.view, moved),))):
         [scene] = perception.look([one])

@@ -56,7 +56,7 @@ def test_the_loss_needs_no_text_and_waits_for_nothing(
         pose, last = torch.zeros(4, 3), torch.zeros(4, 2)
         labels = replace(batch.labels, pick_pose=pose, kind_and_height=last)
         batch = replace(batch, labels=labels)
-    ready = without_texts(batch, model.told(batch))
+    ready = without_texts(batch, model.text_tensors(batch))
     torch.manual_seed(0)
     usual = model.loss(batch)
     # On a CPU, and only there, it looks whether its numbers are in range.

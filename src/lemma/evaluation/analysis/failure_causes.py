@@ -17,7 +17,7 @@ from typing import Any
 from lemma.evaluation.records import (
     POLICY_ERROR,
     POSE_TOLERANCE_MM,
-    Departure,
+    Deviation,
     enough,
 )
 from lemma.motion.outcome import Outcome
@@ -70,11 +70,11 @@ class Cause(StrEnum):
     the line."""
 
 
-_OF_DEPARTURE = {
-    Departure.ROBOT: Cause.WRONG_ROBOT,
-    Departure.ORDER: Cause.WRONG_ORDER,
-    Departure.PRIMITIVE: Cause.WRONG_PRIMITIVE,
-    Departure.OBJECT: Cause.WRONG_OBJECT,
+_OF_DEVIATION = {
+    Deviation.ROBOT: Cause.WRONG_ROBOT,
+    Deviation.ORDER: Cause.WRONG_ORDER,
+    Deviation.PRIMITIVE: Cause.WRONG_PRIMITIVE,
+    Deviation.OBJECT: Cause.WRONG_OBJECT,
 }
 
 
@@ -123,9 +123,9 @@ def mistake_of(row: Mapping[str, Any]) -> int | None:
 
 
 def _of_mistake(step: Mapping[str, Any]) -> Cause:
-    departure = Departure(step["expert"]["departure"])
-    if departure is not Departure.NONE:
-        return _OF_DEPARTURE[departure]
+    deviation = Deviation(step["expert"]["departure"])
+    if deviation is not Deviation.NONE:
+        return _OF_DEVIATION[deviation]
     outcome = Outcome(step["outcome"])
     if outcome is Outcome.OUT_OF_TIME:
         return Cause.OUT_OF_TIME

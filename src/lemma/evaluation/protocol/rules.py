@@ -136,7 +136,7 @@ def quote() -> str:
     return sha256_of(in_force())
 
 
-def departures() -> list[str]:
+def deviations() -> list[str]:
     """Return in what the protocol in force is not the one that ships; mostly nothing.
 
     Another release of MuJoCo is what makes the difference.

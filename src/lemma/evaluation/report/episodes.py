@@ -10,7 +10,7 @@ from typing import Any
 from lemma.evaluation.analysis.failure_causes import Cause, cause_of, mistake_of
 from lemma.evaluation.analysis.result import counts, lines_of
 from lemma.evaluation.lines import lines_in, read_lines
-from lemma.evaluation.records import PROTECTIVE_STOP, Departure, Row
+from lemma.evaluation.records import PROTECTIVE_STOP, Deviation, Row
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.run.evaluate import start_of
 from lemma.motion.outcome import REFUSED, Outcome
@@ -205,9 +205,9 @@ def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
 
 
 DEPARTURES = {
-    Departure.ROBOT: "wrong robot",
-    Departure.ORDER: "too soon",
-    Departure.PRIMITIVE: "wrong primitive",
-    Departure.OBJECT: "wrong object",
+    Deviation.ROBOT: "wrong robot",
+    Deviation.ORDER: "too soon",
+    Deviation.PRIMITIVE: "wrong primitive",
+    Deviation.OBJECT: "wrong object",
 }
 """Words for a sub-task that departs from the expert's."""

@@ -146,7 +146,7 @@ class ControlRollout(Rollout):
         except InvalidActionError as error:
             self.fail(Fault(FaultKind.MALFORMED, str(error)))
 
-    def told(self, strict: Verdict) -> dict[str, Any]:
+    def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
         return {
             "control": {
@@ -154,7 +154,7 @@ class ControlRollout(Rollout):
                 "hz": self.config.control_hz,
                 "actions": self.actions,
                 "asked": self.asked,
-                **self.handling.told(),
+                **self.handling.fields(),
             }
         }
 
@@ -189,7 +189,7 @@ class ControlPlayer(Player):
         config = environment_of(self.policy, instance.task)
         return ControlRollout(instance, kind, control=control, config=config)
 
-    def given(self, rollout: Rollout) -> ControlInput:
+    def policy_input(self, rollout: Rollout) -> ControlInput:
         """Return what the policy is given of an episode now."""
         assert isinstance(rollout, ControlRollout)
         robots = len(rollout.instance.scene.robots)

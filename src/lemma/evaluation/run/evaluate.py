@@ -225,7 +225,7 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         },
         "subtasks": taken,
         "left": strict.left,
-        **rollout.told(strict),
+        **rollout.fields(strict),
         **planning,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
     }

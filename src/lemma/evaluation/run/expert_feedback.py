@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from lemma.env.episode import Episode
 from lemma.evaluation.line_parts import Symbols
-from lemma.evaluation.records import Departure, Feedback, Row, enough
+from lemma.evaluation.records import Deviation, Feedback, Row, enough
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
 from lemma.planning.planner import find_plan
@@ -48,7 +48,7 @@ def advise(
     geometry = GeometricGrounder(now.spec)
     plan = _plan(episode, now, geometry)
     subtask = decision.subtask
-    departed = departure(subtask, plan or ())
+    deviates = deviation(subtask, plan or ())
     pick = place = None
     if decision.grounded is not None:
         if subtask.pick in now.poses and subtask.pick != STICK:
@@ -58,8 +58,8 @@ def advise(
     return Feedback(
         expected=Symbols(**(plan[0] if plan else STOP).to_dict()),
         left=None if plan is None else len(plan),
-        departure=departed,
-        able=departed is Departure.NONE or _is_able(subtask, now, geometry),
+        departure=deviates,
+        able=deviates is Deviation.NONE or _is_able(subtask, now, geometry),
         pick_error_mm=_millimetres(pick),
         place_error_mm=_millimetres(place),
     )
@@ -89,15 +89,15 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
     """
     told = [step["expert"] for step in steps]
     lefts = [enough(each["left"]) for each in told] + [enough(left)]
-    departures = [Departure(each["departure"]) for each in told]
-    as_expert = sum(d in (Departure.NONE, Departure.ORDER) for d in departures)
+    deviations = [Deviation(each["departure"]) for each in told]
+    as_expert = sum(d in (Deviation.NONE, Deviation.ORDER) for d in deviations)
     return {
         "doable": sum(each["able"] is not None for each in told),
         "able": sum(each["able"] is True for each in told),
-        "planned": as_expert + departures.count(Departure.ROBOT),
+        "planned": as_expert + deviations.count(Deviation.ROBOT),
         "as_expert": as_expert,
         "order_violations": sum(
-            departures[i] is Departure.ORDER
+            deviations[i] is Deviation.ORDER
             and lefts[i + 1] >= lefts[i]
             and (not told[i]["able"] or step["outcome"] == Outcome.SUCCESS)
             for i, step in enumerate(steps)
@@ -105,7 +105,7 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
     }
 
 
-def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
+def deviation(subtask: SubTask, plan: tuple[SubTask, ...]) -> Deviation:
     """Return how a sub-task departs from a plan: the first kind that applies.
 
     Args:
@@ -114,14 +114,14 @@ def departure(subtask: SubTask, plan: tuple[SubTask, ...]) -> Departure:
     """
     expected = plan[0] if plan else STOP
     if subtask == expected:
-        return Departure.NONE
+        return Deviation.NONE
     if subtask in plan:
-        return Departure.ORDER
+        return Deviation.ORDER
     if any(replace(planned, robot=subtask.robot) == subtask for planned in plan):
-        return Departure.ROBOT
+        return Deviation.ROBOT
     if subtask.primitive is not expected.primitive:
-        return Departure.PRIMITIVE
-    return Departure.OBJECT
+        return Deviation.PRIMITIVE
+    return Deviation.OBJECT
 
 
 def _is_able(

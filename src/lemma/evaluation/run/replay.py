@@ -54,7 +54,7 @@ def play_again(
             if rollout.is_over(strict=lenient is None):
                 break
             watch(rollout.episode, number)
-            given = rollout.given(None)
+            given = rollout.policy_input(None)
             # No evaluation wrote what is no decision: the policy would have failed.
             rollout.carry_out(given, check(decision_of(step), given))
     fault = (lenient or row)["policy_error"]
@@ -95,7 +95,7 @@ def _order_again(
         if rollout.is_over(strict=strict):
             break
         watch(rollout.episode, len(rollout.steps))
-        given = rollout.given(None)
+        given = rollout.policy_input(None)
         rollout.carry_out(given, check(orders.get(number, []), given))
     return len(rollout.steps)
 

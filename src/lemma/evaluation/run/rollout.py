@@ -69,7 +69,7 @@ class TakenStep:
     fell: tuple[str, ...] = ()
     """Names of the objects that fell off the table meanwhile."""
 
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
         return {}
 
@@ -204,7 +204,7 @@ class Rollout:
             asked=len(self.efforts),
         )
 
-    def given(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
+    def policy_input(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
         """Return what a policy is given now; it sees nothing without cameras.
 
         Everything is rendered now, which is neither the policy's time nor its fault if
@@ -225,7 +225,7 @@ class Rollout:
             return OracleInput(*given, episode=self.episode)
         return PolicyInput(*given)
 
-    def told(self, strict: Verdict) -> dict[str, Any]:
+    def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does.
 
         Args:
@@ -320,9 +320,9 @@ class Player:
         """Set the table for an episode."""
         return Rollout(instance, kind, control=control)
 
-    def given(self, rollout: Rollout) -> Any:
+    def policy_input(self, rollout: Rollout) -> Any:
         """Return what the policy is given of an episode now."""
-        return rollout.given(self.rig, self.policy)
+        return rollout.policy_input(self.rig, self.policy)
 
 
 def roll_out(
@@ -357,7 +357,7 @@ def roll_out(
         waiting = iter(begun)
         running = list(islice(waiting, at_once))
         while running:
-            inputs = [player.given(one) for one in running]
+            inputs = [player.policy_input(one) for one in running]
             decisions = guard.decide(inputs)
             for one, given, decision in zip(running, inputs, decisions, strict=True):
                 before = len(one.steps)
@@ -390,7 +390,7 @@ def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
             "duration_s": round(step.result.duration_s, 3),
             "fell": list(step.fell),
             "expert": msgspec.to_builtins(step.advice),
-            **step.told(),
+            **step.fields(),
         }
         for step in steps
     ]

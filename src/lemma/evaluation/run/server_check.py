@@ -106,7 +106,7 @@ def check_server(url: str, arguments: tuple[tuple[str, Any], ...] = ()) -> Serve
 def _check_decision(part: Any) -> ServerCheck:
     """Ask a policy, planner or grounder for its first decision in the known scene."""
     play = Rollout(load_instance(*SCENE))
-    given = play.given(CameraRig())
+    given = play.policy_input(CameraRig())
     subtask, grounded = first_subtask(), None
     if hasattr(part, "act"):
         [decision] = part.act([given])
@@ -170,7 +170,7 @@ def check_control(policy: Any) -> ServerCheck:
     rollout = player.begin(load_instance(*SCENE), "high_level")
     assert isinstance(rollout, ControlRollout)
     robot, cube = _set_out(rollout.env)
-    given = player.given(rollout)
+    given = player.policy_input(rollout)
     [answer] = IsolatedPolicy(policy).decide([given])
     if isinstance(answer, Fault):
         raise PolicyFailedError(answer.kind, answer.explanation)

@@ -62,7 +62,7 @@ class TeamStep(TakenStep):
     effect_s: float | None = None
     """When its effect was first seen [s]."""
 
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
         effect_s = None if self.effect_s is None else round(self.effect_s, 3)
         return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s}
@@ -108,8 +108,8 @@ class TeamRollout(Rollout):
         self.contacts = ContactWatch(episode.simulation)
         return episode
 
-    def given(self, rig: CameraRig | None, policy: object = None) -> TeamInput:
-        """Return what a policy is given now; see :meth:`Rollout.given`."""
+    def policy_input(self, rig: CameraRig | None, policy: object = None) -> TeamInput:
+        """Return what a policy is given now; see :meth:`Rollout.policy_input`."""
         scene, free = self.episode.simulation.scene, self.team.free
         view, own = BLIND, dict[str, View]()
         if asks_robots(policy):
@@ -271,7 +271,7 @@ class TeamRollout(Rollout):
             "contact_s": round(self.contacts.touched_s, 2),
         }
 
-    def told(self, strict: Verdict) -> dict[str, Any]:
+    def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does."""
         figures = dict(strict.together or {})
         oracle_s, score = executed_s(self.instance), None

@@ -158,7 +158,7 @@ class HandlingWatch:
                     self._events.append({"time_s": time_s, **told})
         self._held = dict(held)
 
-    def told(self) -> dict[str, Any]:
+    def fields(self) -> dict[str, Any]:
         """Return it as plain data, ready for JSON."""
         tops = {on.top for on in self._episode.instance.goal.conjuncts}
         return {

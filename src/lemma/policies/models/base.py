@@ -54,10 +54,10 @@ class Model(nn.Module, ABC):
         """Entities with a number in its batches: all that are known, or its choice."""
         return EntitySet.of(getattr(self.config, "entities", ()))
 
-    def told(self, batch: Batch) -> dict[str, Tensor]:
+    def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return what the loss needs of texts and names, as tensors.
 
-        It is made while the model works on the batch before, for ``batch.told``.
+        It is made while the model works on the batch before, and kept in the batch.
 
         Args:
             batch: With labels.
@@ -69,7 +69,7 @@ class Model(nn.Module, ABC):
         """Return the terms of the loss, weighted: training minimises their sum.
 
         Args:
-            batch: With labels, with or without what :meth:`told` returned.
+            batch: With labels, with or without what :meth:`text_tensors` returned.
         """
 
     @abstractmethod

@@ -176,14 +176,14 @@ class KeyPoseModel(MapModel):
         inputs = width + _FINER**2 + config.widths[-1] + vector
         self.read = reader(inputs, sum(self._outputs))
 
-    def told(self, batch: Batch) -> dict[str, Tensor]:
+    def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the words of the instructions as numbers."""
         words = self.text.sentences.read(batch.instructions, self.device)
         return {"words": torch.stack(words)}
 
     def look(self, batch: Batch) -> _Seen:
         """Look at a table with a sentence in mind."""
-        told = batch.told or self.told(batch)
+        told = batch.text_tensors or self.text_tensors(batch)
         words = Sentences(*told["words"])
         sentence = F.layer_norm(self.text.pooled(words), (self.config.text_width,))
         vector = torch.cat([sentence, self.state(_state_of(batch))], 1)

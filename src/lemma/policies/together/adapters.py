@@ -18,7 +18,7 @@ from lemma.policies.interfaces import (
     Policy,
     PolicyInput,
     proposals,
-    told,
+    visible_to,
 )
 from lemma.policies.oracle import OracleGrounder
 from lemma.policies.together.interfaces import (
@@ -52,7 +52,7 @@ class WithExpertPoses(Composite):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return the policy's orders, without poses of its own."""
-        answers = self.policy.act_together(_told(self.policy, inputs))
+        answers = self.policy.act_together(_visible_to(self.policy, inputs))
         return [
             replace(
                 orders,
@@ -74,7 +74,7 @@ class WithGrounder(Composite):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return the policy's orders with poses."""
-        answers = self.policy.act_together(_told(self.policy, inputs))
+        answers = self.policy.act_together(_visible_to(self.policy, inputs))
         return [
             replace(orders, decisions=tuple(self._grounded(given, orders)))
             for given, orders in zip(inputs, map(orders_of, answers), strict=True)
@@ -84,7 +84,7 @@ class WithGrounder(Composite):
         found = []
         for decision in orders.decisions:
             if isinstance(decision, Decision) and not decision.stops:
-                asked = told(self.grounder, [given])
+                asked = visible_to(self.grounder, [given])
                 (poses,) = self.grounder.ground(asked, [decision.subtask])
                 decision = replace(decision, grounded=poses)
             found.append(decision)
@@ -105,7 +105,9 @@ class Turns(Composite):
         asked = [i for i, given in enumerate(inputs) if _is_quiet(given)]
         found = [Orders() for _ in inputs]
         if asked:
-            answers = self.policy.act(told(self.policy, [inputs[i] for i in asked]))
+            answers = self.policy.act(
+                visible_to(self.policy, [inputs[i] for i in asked])
+            )
             for i, decision in zip(asked, answers, strict=True):
                 found[i] = Orders((decision,))
         return found
@@ -137,7 +139,7 @@ class Greedy(Composite):
         """Return as many orders for free robots as the policy knows."""
         drafts = [_Draft(given, self.symbolic) for given in inputs]
         while asked := [draft for draft in drafts if draft.goes_on]:
-            given = told(self.policy, [draft.as_if_done() for draft in asked])
+            given = visible_to(self.policy, [draft.as_if_done() for draft in asked])
             answers = self.policy.act(given)
             for draft, decision in zip(asked, answers, strict=True):
                 draft.take(decision)
@@ -219,6 +221,6 @@ def _is_quiet(given: TeamInput) -> bool:
     return len(given.free) == len(given.robots)
 
 
-def _told(policy: TeamPolicy, inputs: Sequence[TeamInput]) -> list[TeamInput]:
+def _visible_to(policy: TeamPolicy, inputs: Sequence[TeamInput]) -> list[TeamInput]:
     """Return inputs as a policy may see them."""
-    return [one for one in told(policy, inputs) if isinstance(one, TeamInput)]
+    return [one for one in visible_to(policy, inputs) if isinstance(one, TeamInput)]

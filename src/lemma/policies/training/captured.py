@@ -30,9 +30,9 @@ class CapturedStep:
         Args:
             compute: Returns the losses of a batch, and leaves the gradients at the
                 weights. It looks at no text and no name, and waits for no result.
-            batch: Any batch, with labels and ``told``.
+            batch: Any batch, with labels and ``text_tensors``.
         """
-        self.batch = without_texts(batch, batch.told)
+        self.batch = without_texts(batch, batch.text_tensors)
         device = batch.rgb.device
         beside = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
         beside.wait_stream(torch.cuda.current_stream(device))
@@ -58,16 +58,16 @@ class CapturedStep:
         return {name: term.clone() for name, term in self.terms.items()}
 
 
-def without_texts(batch: Batch, told: Mapping[str, Tensor]) -> Batch:
+def without_texts(batch: Batch, tensors: Mapping[str, Tensor]) -> Batch:
     """Return a batch with tensors of its own, and without any text or name.
 
     Args:
         batch: With labels.
-        told: Texts and names as the model has encoded them.
+        tensors: Texts and names as the model has encoded them.
     """
     assert batch.labels is not None
-    own = {name: value.clone() for name, value in told.items()}
-    return replace(_bare(batch), labels=_bare(batch.labels), told=own)
+    own = {name: value.clone() for name, value in tensors.items()}
+    return replace(_bare(batch), labels=_bare(batch.labels), text_tensors=own)
 
 
 def _bare(record: _Record) -> _Record:
@@ -83,7 +83,7 @@ def _bare(record: _Record) -> _Record:
 def _tensors(batch: Batch) -> list[Tensor]:
     values = [*_values(batch).values(), *_values(batch.labels).values()]
     found = [value for value in values if isinstance(value, Tensor)]
-    return found + [batch.told[name] for name in sorted(batch.told)]
+    return found + [batch.text_tensors[name] for name in sorted(batch.text_tensors)]
 
 
 def _shapes(batch: Batch) -> list[torch.Size]:

@@ -54,7 +54,7 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
         InvalidConfigError: There is no GPU, and one was asked for; or the environment
             names several processes, but not all that they need to find each other.
     """
-    count = _told("WORLD_SIZE", 1)
+    count = _variable("WORLD_SIZE", 1)
     chosen = _device(device)
     if count == 1:
         yield ProcessGroup(0, 1, chosen)
@@ -68,7 +68,7 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
         dist.destroy_process_group()
 
 
-def _told(name: str, default: int, most: int = 2**20) -> int:
+def _variable(name: str, default: int, most: int = 2**20) -> int:
     """Return a whole number that the environment names; the default if it is empty.
 
     Raises:
@@ -91,14 +91,14 @@ def _check_torchrun(count: int) -> None:
     """
     needed = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
     missing = [name for name in needed if not os.environ.get(name, "").strip()]
-    if missing or _told("RANK", 0) >= count:
+    if missing or _variable("RANK", 0) >= count:
         wrong = f"{', '.join(missing)} missing" if missing else "RANK too large"
         raise InvalidConfigError(
             f"The environment says WORLD_SIZE={count}, as for processes that train "
             f"together, but with {wrong}. Start them with torchrun, or train in one "
             "process: env -u WORLD_SIZE lemma train ..."
         )
-    _told("MASTER_PORT", 0, 2**16)
+    _variable("MASTER_PORT", 0, 2**16)
 
 
 def _device(name: str) -> torch.device:
@@ -112,7 +112,7 @@ def _device(name: str) -> torch.device:
         return torch.device("cpu")
     # Episodes differ in length, and with them batches: else memory falls to pieces.
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")
-    index = _told("LOCAL_RANK", 0)
+    index = _variable("LOCAL_RANK", 0)
     if index >= torch.cuda.device_count():
         raise InvalidConfigError(
             f"The environment says LOCAL_RANK={index}, but this machine has "

@@ -104,7 +104,7 @@ class BatchLoader:
         config: TrainingConfig,
         device: torch.device,
         recovery: FrameSource | None = None,
-        told: Callable[[Batch], dict[str, Tensor]] = _nothing,
+        text_tensors: Callable[[Batch], dict[str, Tensor]] = _nothing,
     ) -> None:
         """Prepare nothing yet.
 
@@ -115,11 +115,11 @@ class BatchLoader:
             config: Options of the training run.
             device: Where batches shall be.
             recovery: Recovery states to mix in, if any.
-            told: Returns what the model needs of texts and names, as tensors.
+            text_tensors: Returns what the model needs of texts and names, as tensors.
         """
         self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order
-        self._config, self._device, self._told = config, device, told
+        self._config, self._device, self._text_tensors = config, device, text_tensors
 
     def make(self, step: int) -> Batch:
         """Return the batch of a step."""
@@ -132,7 +132,7 @@ class BatchLoader:
             batch, config.seed, draw, config.kinds, config.augmentation.paraphrases
         )
         batch = with_language(batch, config.language, rng)
-        return replace(batch, told=self._told(batch))
+        return replace(batch, text_tensors=self._text_tensors(batch))
 
     def _drawn(self, step: int) -> Batch:
         """Return the frames of a step as they are stored."""
@@ -190,7 +190,7 @@ class BatchLoader:
             if ready is not None:
                 now = torch.cuda.current_stream(self._device)
                 now.wait_event(ready)
-                for part in (vars(batch), vars(batch.labels), batch.told):
+                for part in (vars(batch), vars(batch.labels), batch.text_tensors):
                     for tensor in part.values():
                         if isinstance(tensor, Tensor):
                             # Else its memory would be reused while it is in use here.

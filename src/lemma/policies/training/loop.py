@@ -128,7 +128,7 @@ class _Run:
         self.order = Sampler(len(self.units), *draws)
         self.so_far = _Progress()
         self.steps = config.steps or 0
-        self._told: list[dict[str, Tensor]] = []
+        self._losses: list[dict[str, Tensor]] = []
         self._busy_s, self._waited_s, self._here = 0.0, 0.0, 0
         if (config.out / CHECKPOINT).exists():
             state = read_state(config.out / CHECKPOINT, team.device)
@@ -147,7 +147,13 @@ class _Run:
     def go(self) -> TrainingReport:
         """Train to the end, or until somebody stops it."""
         config, trainer, source = self.config, self.trainer, self.data.train
-        how = self.order, config, self.team.device, self._mixed_in(), trainer.model.told
+        how = (
+            self.order,
+            config,
+            self.team.device,
+            self._mixed_in(),
+            trainer.model.text_tensors,
+        )
         feed = BatchLoader(source, self.units, *how)
         first = trainer.step
         begun = self.so_far.elapsed_s
@@ -174,7 +180,7 @@ class _Run:
                 asked = time.perf_counter()
                 batch = next(batches)
                 self._waited_s += time.perf_counter() - asked
-                self._told.append(trainer.train(batch, done))
+                self._losses.append(trainer.train(batch, done))
                 self.so_far.samples += len(batch) * self.team.count
                 self._here += len(batch) * self.team.count
                 if trainer.step % LOG_EVERY == 0:
@@ -192,15 +198,15 @@ class _Run:
 
     def _log(self) -> None:
         """Read the losses since the last time."""
-        if not self._told:
+        if not self._losses:
             return
-        names = list(self._told[-1])
-        rows = torch.stack([torch.stack([t[n] for n in names]) for t in self._told])
+        names = list(self._losses[-1])
+        rows = torch.stack([torch.stack([t[n] for n in names]) for t in self._losses])
         means = dict(zip(names, rows.float().mean(0).tolist(), strict=True))
         now = time.perf_counter()
         self._busy_s += now - self._logged
         self._logged = now
-        steps, self._told = len(self._told), []
+        steps, self._losses = len(self._losses), []
         if not math.isfinite(means["loss"] + means["gradient"]):
             raise TrainingError(
                 f"The loss became infinite within {steps} steps of step "

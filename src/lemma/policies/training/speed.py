@@ -53,7 +53,12 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
         units = training_units(model, data.train, config)
         order = Sampler(len(units), config.batch_size or 1, config.seed)
         feed = BatchLoader(
-            data.train, units, order, config, team.device, told=trainer.model.told
+            data.train,
+            units,
+            order,
+            config,
+            team.device,
+            text_tensors=trainer.model.text_tensors,
         )
         frames = 0
         with feed.ahead(0, first + steps) as batches:

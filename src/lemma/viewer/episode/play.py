@@ -334,7 +334,7 @@ class Play:
         elif reading is None and isinstance(player, ControlPlayer):
             reading = SILENT
         elif reading is None:
-            given = player.given(rollout)
+            given = player.policy_input(rollout)
             reading = ask_reader(player.policy, given, rollout.instance)
         if self.request.saying == OWN_WORDS:
             scene = rollout.episode.simulation.scene

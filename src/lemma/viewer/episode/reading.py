@@ -22,7 +22,7 @@ from lemma.policies.interfaces import (
     Insight,
     PolicyInput,
     Reader,
-    told,
+    visible_to,
 )
 from lemma.policies.spec import PolicySpec
 from lemma.policies.text.refusals import unknown_things
@@ -150,7 +150,7 @@ def hear(
     if knows:
         reading = parse_goal(text, said)
     else:
-        reading = ask_reader(player.policy, player.given(rollout), said)
+        reading = ask_reader(player.policy, player.policy_input(rollout), said)
     reading = check_plan(reading, rollout.episode.simulation.scene, needed=knows)
     if reading.acts and reading.pairs:
         said = replace(said, goal=Goal.from_pairs(reading.pairs))
@@ -276,6 +276,6 @@ class ObservedPolicy(Composite):
             if isinstance(decision, Decision | Actions):
                 explainer = find_part(self.policy, Explainer)
                 if explainer is not None:
-                    insight = explainer.explain(told(explainer, inputs[:1]))[0]
+                    insight = explainer.explain(visible_to(explainer, inputs[:1]))[0]
                 self.tell(decision, insight)
         return answers

@@ -15,7 +15,7 @@ from lemma.core.version import VERSION as __version__
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.lines import result_beside
 from lemma.evaluation.protocol.language_controls import FULL
-from lemma.evaluation.records import Departure
+from lemma.evaluation.records import Deviation
 from lemma.evaluation.report.episodes import (
     DEPARTURES,
     Case,
@@ -191,11 +191,11 @@ def _case_data(case: Case, policy: int, pictures: Pictures | None) -> dict[str, 
 
 def _step_data(case: Case, step: Mapping[str, Any]) -> dict[str, Any]:
     feedback = step["expert"]
-    departs = Departure(feedback["departure"])
+    departs = Deviation(feedback["departure"])
     errors = [
         f"{end} {feedback[f'{end}_error_mm']:.0f} mm off"
         for end in ("pick", "place")
-        if feedback[f"{end}_error_mm"] is not None and departs is Departure.NONE
+        if feedback[f"{end}_error_mm"] is not None and departs is Deviation.NONE
     ]
     return {
         "words": subtask_words(case, step),

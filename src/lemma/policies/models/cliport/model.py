@@ -100,7 +100,7 @@ class PickAndPlace(MapModel):
         """Return the sentences that the model reads."""
         raise NotImplementedError
 
-    def told(self, batch: Batch) -> dict[str, Tensor]:
+    def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the words of the sentences as numbers."""
         # Both encoders read alike.
         words = self.pick_text.sentences.read(self.sentences(batch), self.device)
@@ -108,7 +108,7 @@ class PickAndPlace(MapModel):
 
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the picture, and the sentence as read for the pick and the place."""
-        told = batch.told or self.told(batch)
+        told = batch.text_tensors or self.text_tensors(batch)
         texts = Sentences(*told["words"])
         # Means of many words are small; normalised, they have an effect sooner.
         to_pick, to_place = (

@@ -133,7 +133,7 @@ class ReachNet(MapModel):
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
 
-    def told(self, batch: Batch) -> dict[str, Tensor]:
+    def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the goals and the words of the instructions as numbers."""
         return lesson(self.reader, batch, self.device)
 
@@ -142,7 +142,7 @@ class ReachNet(MapModel):
         labels = batch.labels
         assert labels is not None
         marks, coarse = self.eye(batch)
-        told = batch.told or self.told(batch)
+        told = batch.text_tensors or self.text_tensors(batch)
         words = Sentences(*told["words"])
         reading = self.reader.loss(words, told["goal"], told["reasons"])
         goal = told["goal"][: len(batch)]
