@@ -21,10 +21,6 @@ from lemma.tasks.suite import SUITE, load_instance
 NAMES = tuple(published_weights())
 LADDER = {"keypose"}
 """Weights whose rows are of the ladder alone."""
-READERS = {name for name in NAMES if "base" in published_weights()[name]}
-"""Weights with a reader of their own, and all else of others."""
-NEXT = {"reachnet-v3"}
-"""Trained on version 3 beside those of the tables, which they will replace."""
 WHOLE = tuple(
     name
     for name in NAMES
@@ -37,7 +33,7 @@ RESULTS = sorted((Path(__file__).parents[2] / "results").glob("*/seed-0.json"))
 
 def test_all_trainings_of_the_tables_are_published() -> None:
     needed = {one for one in TRAININGS if TRAININGS[one].samples is None}
-    assert set(NAMES) - LADDER - READERS - NEXT == needed
+    assert set(NAMES) - LADDER == needed
 
 
 def test_there_are_results() -> None:
@@ -64,7 +60,7 @@ def test_weights_are_small_and_what_is_said_of_them(
     assert path.stat().st_size == entry["bytes"] < 17e6
     model = load_model(name)
     assert all(bool(p.isfinite().all()) for p in model.parameters())
-    assert model.selection in entry["scores"] or name in READERS
+    assert model.selection in entry["scores"]
     assert f"{entry['model']} " in entry["command"]
     assert entry["data"]["digest"]
 

@@ -12,8 +12,7 @@ from tiny_model import ABOUT, Tiny, TinyConfig, tiny, written
 
 import publish_weights as publish
 from lemma.core.errors import DatasetError, WeightsError
-from lemma.core.files import sha256_of
-from lemma.policies import weights, weights_file
+from lemma.policies import weights_file
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.training.step import read_state, write_state
 from lemma.policies.weights import load_model
@@ -44,24 +43,6 @@ def test_weights_come_back_with_their_model(tmp_path: Path) -> None:
     assert load_file(path)["first.weight"].dtype == torch.float16
     # Others than who trained them may read them.
     assert path.stat().st_mode & 0o044 == 0o044
-
-
-def test_some_weights_build_on_published_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    base = written(tmp_path)
-    entry = {"file": base.name, "sha256": sha256_of(base)}
-    monkeypatch.setenv("LEMMA_WEIGHTS", str(tmp_path))
-    for module in (weights, weights_file):
-        monkeypatch.setattr(module, "published_weights", lambda: {"tiny": entry})
-    path = tmp_path / "part.safetensors"
-    part = {"first.weight": tiny(1).first.weight}
-    write_weights(path, part, replace(ABOUT, base=("tiny", entry["sha256"])))
-    model, former = (load_weights(each).state_dict() for each in (path, base))
-    assert {n for n in model if not model[n].equal(former[n])} == {"first.weight"}
-    write_weights(path, part, replace(ABOUT, base=("tiny", "0" * 64)))
-    with pytest.raises(WeightsError, match="other weights 'tiny'"):
-        load_weights(path)
 
 
 def test_weights_too_large_for_16_bits_are_not_written(tmp_path: Path) -> None:

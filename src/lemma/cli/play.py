@@ -63,9 +63,9 @@ def play(
             it. By default test, and free for tasks of your own.
         instance: A JSON file with an instance of your own, to begin with.
         policy: As in lemma evaluate; or 'oracle together', the expert with all robots
-            at once, the default for teams of three and four. For pairs it is
-            reachnet-refusals where torch is installed, else the expert, which reads the
-            benchmark's sentences alone.
+            at once, the default for teams of three and four. For pairs it is reachnet
+            where torch is installed, else the expert, which reads the benchmark's
+            sentences alone.
         say: A sentence of your own, which is acted on at once.
         failures: List the failures in a folder of results, and play them beside the
             expert or another policy.

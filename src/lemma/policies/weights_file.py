@@ -29,7 +29,6 @@ from lemma.core.files import write_whole
 from lemma.policies.class_path import LEROBOT
 from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model
-from lemma.policies.weights import find_published, published_weights
 
 METADATA_KEY = "lemma"
 WEIGHTS_VERSION = "2"
@@ -73,8 +72,6 @@ class WeightsMetadata:
     machines have done other steps. Empty while it goes on, or if it is unknown."""
     steps: int | None = None
     """Steps that were done when it ended."""
-    base: tuple[str, str] | None = None
-    """Name and SHA-256 of the published weights that hold what this file lacks."""
     packed: dict[str, Rounding] = field(default_factory=dict)
     """How the tensors were rounded that are not in 16 bits, by name."""
     lemma: str = ""
@@ -224,17 +221,14 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             # First a model that takes no memory: sizes in their ranges may be large.
             with torch.device("meta"), _Unfilled():
                 wanted = make_model(metadata.model, options).state_dict()
-            own = {n: v for n, v in wanted.items() if n in found or not metadata.base}
-            _check_shapes(path, metadata, file, found, own)
+            _check_shapes(path, metadata, file, found, wanted)
             with _Unfilled():
                 model = make_model(metadata.model, options)
-            read = {
-                name: _read_tensor(file, found[name], metadata, value)
-                for name, value in own.items()
-            }
-            rest = _read_base(path, *metadata.base) if metadata.base else {}
             model.load_state_dict(
-                {name: read[name] if name in read else rest[name] for name in wanted}
+                {
+                    name: _read_tensor(file, found[name], metadata, value)
+                    for name, value in wanted.items()
+                }
             )
     except WeightsError:
         raise
@@ -248,15 +242,6 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         # torch has RuntimeErrors for sizes that cannot be.
         raise _damaged(path, error) from error
     return model.to(device).eval()
-
-
-def _read_base(path: Path, name: str, sha256: str) -> dict[str, Tensor]:
-    """Return the tensors of published weights on which a file builds."""
-    if published_weights().get(name, {}).get("sha256") != sha256:
-        raise WeightsError(
-            f"{path} builds on other weights {name!r} than those of this version."
-        )
-    return load_weights(find_published(name)).state_dict()
 
 
 class _Unfilled(TorchFunctionMode):

@@ -145,7 +145,10 @@ def test_every_seed_is_trained_once_for_each_part() -> None:
     every = commands(selected("paper"))
     lines = [line for line in every if not line.startswith("# ")]
     assert len(lines) == len(set(lines)) == 4 + 3 * (3 + 5)
-    assert every == lines
+    published = published_weights()
+    parts = ("episodic-transformer", "cliport", "m-cliport")
+    cut = [name for name in parts if published[name]["ended"] == "time limit"]
+    assert [line.split()[5][:-1] for line in every if line not in lines] == cut
     assert all(
         each.startswith("lemma reproduce") for each in commands(selected("oracle"))
     )

@@ -29,12 +29,7 @@ _PATIENCE_S = 1.0
 
 
 _PAIR = 2
-_LEARNED = (
-    "reachnet-refusals",
-    "reachnet",
-    "episodic-transformer+cliport",
-    "m-cliport",
-)
+_LEARNED = ("reachnet", "episodic-transformer+cliport", "m-cliport")
 
 
 class Session:
