@@ -187,9 +187,6 @@ def test_the_list_and_the_command_are_what_the_metadata_say(name: str) -> None:
     if metadata.model.startswith(LEROBOT):
         assert words[:2] == ["python", "scripts/control_baselines.py"]
         return
-    if metadata.base:
-        assert words[:2] == ["python", "scripts/measure_reading.py"]
-        return
     assert words[:2] == ["lemma", "train"]
     typed = tyro.cli(TrainingConfig, args=words[2:])
     # This command trains with these very options.
