@@ -40,9 +40,13 @@ def inserted_words(draws: int = DRAWS) -> tuple[str, ...]:
     only_unseen = unseen_words()
     counted: Counter[str] = Counter()
     for task in SUITE:
+        goals = [
+            load_instance(task, "train", index).goal.pairs
+            for index in range(min(draws, SPLITS["train"]))
+        ]
         for index in range(draws):
             rng = stream("inserted words", task, index)
-            goal = load_instance(task, "train", index % SPLITS["train"]).goal.pairs
+            goal = goals[index % len(goals)]
             counted.update(set(words(paraphrase(task, goal, rng))) & set(only_unseen))
     least = max(2, draws * len(SUITE) // _RARE)
     return tuple(sorted(word for word, count in counted.items() if count >= least))

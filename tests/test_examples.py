@@ -34,6 +34,8 @@ CASES: dict[str, tuple[str, tuple[str, ...]]] = {
     "15_act_together.py": ("success after 2", ()),
 }
 RENDERS = ("00", "03", "04", "06", "08")
+LONG = ("03", "04", "06", "09", "15")
+"""Data, training, motor commands and teams have quick tests of their own."""
 REPORTS_PROGRESS = ("04_train_a_model.py",)
 """On the error stream."""
 
@@ -83,7 +85,13 @@ def test_every_example_is_run_here() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.render if name[:2] in RENDERS else ())
+        pytest.param(
+            name,
+            marks=[
+                *([pytest.mark.render] if name[:2] in RENDERS else []),
+                *([pytest.mark.slow] if name[:2] in LONG else []),
+            ],
+        )
         for name in CASES
     ],
 )
@@ -120,6 +128,7 @@ def test_first_scene_writes_a_picture(tmp_path: Path) -> None:
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", ["1", "2", "3"])
 def test_expert_solves_the_ninth_task(seed: str) -> None:
     assert "success" in run("10_write_a_task.py", seed)

@@ -43,7 +43,10 @@ def test_import_registers(name: str) -> None:
             "import gymnasium, lemma; gymnasium.make('lemma/Hook-v0')",
             marks=pytest.mark.slow,
         ),
-        "import gymnasium; gymnasium.make('lemma:lemma/Hook-v0')",
+        pytest.param(
+            "import gymnasium; gymnasium.make('lemma:lemma/Hook-v0')",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_any_order_of_imports_will_do(code: str) -> None:

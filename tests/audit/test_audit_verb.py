@@ -90,6 +90,7 @@ def test_repeats_whoever_works() -> None:
     assert tally(alike[0]) == tally(alike[1])
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_a_video_is_written_of_a_success(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -102,6 +102,7 @@ def test_what_to_generate_is_checked() -> None:
         GenerateConfig(out=Path(), tasks=("pile",), splits=("free",), episodes=1)
 
 
+@pytest.mark.slow
 def test_own_task_is_generated_and_read_without_it(capsys, tmp_path: Path) -> None:
     data = tmp_path / "data"
     with loaded(PILE):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command import run as lemma
 from PIL import Image
+from tiers import slow_but
 
 from lemma.tasks.suite import load_instance
 from lemma.viz.sheets import SHEET_HEIGHT_PX, SHEET_WIDTH_PX, depth_picture
@@ -49,7 +50,7 @@ def test_demo_needs_a_folder_for_its_page(
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("robots", [1, 2])
+@pytest.mark.parametrize("robots", slow_but([1, 2], 1))
 def test_table_with_one_robot_or_one_sentence_is_shown(
     robots: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

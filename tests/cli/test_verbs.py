@@ -66,6 +66,7 @@ def test_what_runs_nothing_imports_nothing() -> None:
         assert verbs == asked
 
 
+@pytest.mark.slow
 def test_results_are_made_without_an_encoder_of_videos() -> None:
     assert told_without(("av",), "import lemma.cli.reproduce") == ""
 

@@ -72,6 +72,7 @@ def test_who_asks_for_a_picture_is_told(setting: str, tmp_path: Path) -> None:
     assert f"MUJOCO_GL={setting}" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", BROKEN)
 def test_verbs_work_and_the_doctor_says_what_is_wrong(
     setting: str, tmp_path: Path

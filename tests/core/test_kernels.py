@@ -79,6 +79,7 @@ def _end(process: subprocess.Popen[str]) -> dict[str, Any]:
     return found | {"said": err.count("Compiling the numerical kernels")}
 
 
+@pytest.mark.slow
 def test_code_is_kept_until_a_file_changes_that_goes_into_it(copied: Path) -> None:
     said = copied.parent.glob("*.said")
     # Of two processes that start together, one compiles and says so.
@@ -100,6 +101,7 @@ def test_code_is_kept_until_a_file_changes_that_goes_into_it(copied: Path) -> No
     assert sorted(path.name for path in copied.rglob("*.nb?")) == kept
 
 
+@pytest.mark.slow
 def test_without_a_folder_for_temporary_files_nothing_is_left_anywhere(
     copied: Path,
     tmp_path_factory: pytest.TempPathFactory,

@@ -165,28 +165,28 @@ REGISTRIES = all_registries()
 class TestEveryRegistry:
     """One contract: a record is checked when it is added, or it is not kept."""
 
-    @pytest.mark.parametrize(
-        "record", ["panda.xml", 3, {}, object(), [], lambda *, key: None]
-    )
-    def test_a_record_of_another_type_is_refused(
-        self, registry: Registry[Any], record: object
-    ) -> None:
-        with pytest.raises(InvalidConfigError, match="cannot be registered") as caught:
-            registry.add("panda", record)
-        assert "\n" not in str(caught.value)
-        assert "panda" not in registry
+    def test_a_record_of_another_type_is_refused(self, registry: Registry[Any]) -> None:
+        others: list[Any] = ["panda.xml", 3, {}, object(), [], lambda *, key: None]
+        for record in others:
+            with pytest.raises(
+                InvalidConfigError, match="cannot be registered"
+            ) as caught:
+                registry.add("panda", record)
+            assert "\n" not in str(caught.value), record
+            assert "panda" not in registry, record
 
-    @pytest.mark.parametrize("name", ["", "a b", "a,b", "a+b", "llm:a", "/a", 3, None])
     def test_what_no_command_line_could_name_is_refused(
-        self, registry: Registry[Any], name: Any
+        self, registry: Registry[Any]
     ) -> None:
         first = next(iter(registry), None)
         if first is None:
             return
         record = registry[first]
-        with pytest.raises(InvalidConfigError, match="name of a"):
-            registry.add(name, record)
-        assert name not in registry
+        names: list[Any] = ["", "a b", "a,b", "a+b", "llm:a", "/a", 3, None]
+        for name in names:
+            with pytest.raises(InvalidConfigError, match="name of a"):
+                registry.add(name, record)
+            assert name not in registry
 
     def test_what_is_registered_would_be_again(self, registry: Registry[Any]) -> None:
         for name in registry:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tiers import slow_but
+from tiers import MODES, slow_but
 
 import lemma
 from lemma.core.errors import ResetNeededError
@@ -102,7 +102,7 @@ def wild_actions(env: ControlEnv, seed: int, steps: int) -> list[FloatArray]:
 
 
 @pytest.mark.parametrize("index", slow_but(range(3), 0))
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_no_command_exceeds_what_the_robots_can(control: str, index: int) -> None:
     env = control_env(control, "hook_stack", index=index)
     env.reset()
@@ -116,7 +116,7 @@ def test_no_command_exceeds_what_the_robots_can(control: str, index: int) -> Non
     assert speed > (0.7 if "delta" in control else 0.8)
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_wild_actions_do_not_ram_the_table(control: str) -> None:
     env = control_env(control)
     env.reset()
@@ -145,7 +145,7 @@ def test_resting_arms_stay(control: str) -> None:
 
 
 @pytest.mark.parametrize("control", WAYPOINTS)
-@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("side", slow_but([-1.0, 1.0], 1.0))
 def test_waypoints_all_round_the_base_are_reached(control: str, side: float) -> None:
     env = control_env(control, "pass")
     env.reset()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import SyncVectorEnv
-from tiers import slow_but
+from tiers import MODES, slow_but
 
 import lemma
 from lemma.core.errors import (
@@ -66,7 +66,7 @@ def test_gymnasium_finds_no_fault(task: str, level: str) -> None:
 
 
 @pytest.mark.parametrize("observation", slow_but(["state", "privileged"], "state"))
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_gymnasium_finds_no_fault_in_any_mode(control: str, observation: str) -> None:
     env = make("hook_stack", control=control, observation=observation)
     check_env(env, skip_render_check=True)
@@ -120,7 +120,7 @@ def test_seed_draws_the_same_instances() -> None:
     assert first[0] != first[1]
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_same_actions_lead_to_the_same_state(control: str) -> None:
     env = make(control=control)
     env.reset(options={"index": 2})
@@ -131,7 +131,7 @@ def test_same_actions_lead_to_the_same_state(control: str) -> None:
     assert play(env, 15) == first
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_snapshot_continues_to_the_bit(control: str) -> None:
     env = make("hook", control=control)
     env.reset(options={"index": 4})

@@ -57,6 +57,7 @@ def test_an_arm_that_is_unknown_is_named(robots: Any) -> None:
         lemma.make("stack", split="free", robots=robots)
 
 
+@pytest.mark.slow
 def test_own_team_is_in_data_statistics_and_tables(capsys, tmp_path: Path) -> None:
     def run(*words: object) -> str:
         code = command(*words)

@@ -163,6 +163,7 @@ def test_restoring_tells_what_is_held() -> None:
     assert fresh.held() == simulation.held() == {"robot_0": "stick"}
 
 
+@pytest.mark.slow
 def test_a_whole_episode_from_a_snapshot_of_its_beginning() -> None:
     instance = first_instance("hook", "ur5+ur10")
     _, _, steps, hashes = run_expert(instance)

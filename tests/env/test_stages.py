@@ -83,7 +83,7 @@ def stages_seen(
     return seen, told
 
 
-@pytest.mark.parametrize("task", slow_but(TASKS, "poke", "lift", "relay"))
+@pytest.mark.parametrize("task", slow_but(TASKS, "lift", "relay"))
 def test_skipped_looks_would_have_seen_the_same(
     task: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from faulty_policies import Keeping, Remembering
 from made_up import timeless
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -63,6 +64,7 @@ class Silent:
         return [Decision(STOP, None) for _ in inputs]
 
 
+@pytest.mark.slow
 def test_an_object_and_a_name_give_the_same_lines() -> None:
     by_name = lemma.evaluate("oracle", **FEW)
     planner = lemma.evaluate(OraclePlanner(), **FEW)
@@ -97,6 +99,7 @@ def test_a_module_may_be_called_as_a_planner_is() -> None:
     assert found.result.about["policy"]["name"] == "llm:Mine"
 
 
+@pytest.mark.slow
 def test_a_level_says_whose_poses_they_are() -> None:
     own, given = Both(), Both()
     assert lemma.evaluate(own, level="skill", **FEW).success_rate == 1.0
@@ -170,7 +173,7 @@ def test_an_object_plays_each_kind_as_it_was_at_first() -> None:
     assert not any("keeps_state" in row for row in done.rows)
 
 
-@pytest.mark.parametrize("name", ["Remembering", "Keeping"])
+@pytest.mark.parametrize("name", slow_but(["Remembering", "Keeping"], "Keeping"))
 def test_so_does_a_class_in_a_process_of_its_own(name: str) -> None:
     done = play(f"faulty_policies:{name}", KINDS[:2])
     kept = name == "Keeping"

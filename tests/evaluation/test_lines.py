@@ -230,6 +230,7 @@ def test_verbs_find_episodes_in_a_fresh_checkout(
     assert f"of {FAILED * len(KINDS)} failed episodes have pictures" in page
 
 
+@pytest.mark.slow
 def test_failures_of_several_results_are_played(
     committed: Path, tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from clumsy import EPISODES, KINDS, played_clumsily
 from command import run
+from tiers import slow_but
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import Serial
@@ -25,6 +26,7 @@ from lemma.evaluation.verification import Verification, copies, verify
 
 RESULTS = Path(__file__).parents[2] / "results"
 PUBLISHED = sorted(RESULTS.rglob(f"*{PACKED}"))
+REPLAYED = "reachnet/seed-0.jsonl.xz"
 MOST_UNPACKED = 10_000_000
 """Bytes that a file may unpack to in these tests."""
 SOLVED, EARLY, MISSED, STOPPED = range(EPISODES)
@@ -267,7 +269,7 @@ def test_there_are_published_lines() -> None:
     assert PUBLISHED, f"No result in {RESULTS} has its lines beside it."
 
 
-@pytest.mark.parametrize("name", one_of_each(PUBLISHED))
+@pytest.mark.parametrize("name", slow_but(one_of_each(PUBLISHED), REPLAYED))
 def test_published_lines_are_played_again_to_the_bit(name: str) -> None:
     path = RESULTS / name
     about, rows = read_about(path), read_lines(path)

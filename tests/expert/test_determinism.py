@@ -56,6 +56,7 @@ def test_sampled_in_another_process(elsewhere: ProcessPoolExecutor) -> None:
     assert len(set(here)) == len(FREE)
 
 
+@pytest.mark.slow
 def test_two_episodes_at_once_do_not_disturb_each_other() -> None:
     """Step by step in turns, two simulations go as they go alone."""
     one, two = first_instance("stack", TEAM), first_instance("hook", TEAM)

@@ -98,6 +98,7 @@ def test_a_moment_at_which_robots_are_busy_is_found_again_to_the_bit() -> None:
         assert again.snapshot().begun == snapshot.begun
 
 
+@pytest.mark.slow
 def test_what_follows_a_restored_moment_is_equal_to_the_bit() -> None:
     instance = first_instance("stack2", "ur5+ur10")
     plan = solve_together(Episode(instance))
@@ -178,12 +179,14 @@ def random_moves(spec: SceneSpec, seed: int, each: int) -> list[GroundedSubTask]
 
 @pytest.mark.parametrize(
     ("robots", "seed"),
-    [(3, 0), (4, 0)]
-    + [
-        pytest.param(robots, seed, marks=pytest.mark.slow)
-        for robots in (2, 3, 4)
-        for seed in range(1, PLANS)
-    ],
+    slow_but(
+        [
+            (3, 0),
+            (4, 0),
+            *((robots, seed) for robots in (2, 3, 4) for seed in range(1, PLANS)),
+        ],
+        (3, 0),
+    ),
 )
 def test_any_plan_ends_without_arms_that_touch(robots: int, seed: int) -> None:
     spec = ring(robots)

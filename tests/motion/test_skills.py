@@ -13,6 +13,7 @@ from small_tables import (
     stick,
     stretch,
 )
+from tiers import slow_but
 
 from lemma.core.poses import Pose, Pose2, wrap
 from lemma.env.simulation import Simulation
@@ -150,7 +151,7 @@ def drag_for(
     return drag, cube("red", ahead.x, ahead.y, ahead.yaw), stick(lying), gap
 
 
-@pytest.mark.parametrize("arm", ARM_NAMES)
+@pytest.mark.parametrize("arm", slow_but(ARM_NAMES, "ur5"))
 @pytest.mark.parametrize(
     ("prepare", "use"),
     [(Primitive.PREHOOK, Primitive.HOOK), (Primitive.PREPOKE, Primitive.POKE)],

@@ -215,7 +215,7 @@ def test_what_is_predicted_happens(task: str, team: str) -> None:
         assert predicted.duration_s == pytest.approx(result.duration_s, rel=0.34)
 
 
-@pytest.mark.parametrize("arm", ARM_NAMES)
+@pytest.mark.parametrize("arm", slow_but(ARM_NAMES, "ur5"))
 def test_a_full_shared_region_has_no_place_left(arm: str) -> None:
     spec = facing(arm)
     places = FreeSpots(spec.robots)

@@ -39,7 +39,7 @@ def planned(instance: Instance) -> tuple[SymbolicState, GeometricGrounder, Plan]
 # --- Of the suite ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "pass", "hook_stack"))
 def test_a_plan_is_a_chain_as_long_as_the_task_says_that_ends_in_the_goal(
     task: str,
 ) -> None:
@@ -113,12 +113,16 @@ def without_distractors(instance: Instance) -> Instance:
 @pytest.mark.parametrize(
     ("task", "count", "least"),
     [
-        ("pass", 5, 0.0),
         ("stack", 5, 0.0),
-        ("poke", 5, 0.0),
         ("hook", 5, 0.0),
-        ("pass2", 3, 0.0),
-        ("poke_stack", 3, 0.0),
+        *slow_but(
+            [
+                ("pass", 5, 0.0),
+                ("poke", 5, 0.0),
+                ("pass2", 3, 0.0),
+                ("poke_stack", 3, 0.0),
+            ]
+        ),
         # Of two free spots for a cube the nearer to its end can be the farther now.
         ("stack2", 5, 0.06),
     ],
@@ -293,7 +297,7 @@ def turned(spec: SceneSpec) -> SceneSpec:
     )
 
 
-@pytest.mark.parametrize("task", slow_but(SUITE, "pass", "hook"))
+@pytest.mark.parametrize("task", slow_but(SUITE, "hook"))
 def test_half_a_turn_of_the_table_mirrors_the_plan(task: str) -> None:
     other = {"robot_0": "robot_1", "robot_1": "robot_0"}
     for index in TEN:

@@ -49,7 +49,7 @@ def test_results_are_of_the_weights_that_ship(path: Path) -> None:
         assert used <= {entry["sha256"] for entry in published_weights().values()}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", slow_but(NAMES, *NAMES[:2]))
 def test_weights_are_small_and_what_is_said_of_them(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

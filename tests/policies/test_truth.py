@@ -10,7 +10,6 @@ import pytest
 from faulty_policies import given, view
 from numba import njit
 from reachable import HOPELESS, Confidant, Slotted, Spy, find_secrets, secrets_within
-from tiers import slow_but
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.camera_rig import CameraRig
@@ -171,7 +170,8 @@ def test_nor_in_a_process_of_its_own(episode: Episode) -> None:
     assert (decision.subtask, decision.explanation) == (STOP, "nothing")
 
 
-@pytest.mark.parametrize("between", slow_but(BETWEEN, GroundTruthAllocation))
+@pytest.mark.slow
+@pytest.mark.parametrize("between", BETWEEN)
 def test_nor_beside_an_oracle(between: Callable[[Spy], Planner]) -> None:
     spy = Spy()
     policy = PlannerWithGrounder(between(spy), OracleGrounder())

@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from tiers import slow_but
 
 from lemma.core.poses import Pose2
 from lemma.robots.gripper import FINGER_OPENING_M, GRIP_FORCE_N, SKIN_M
@@ -92,7 +93,7 @@ def test_the_fingers_squeeze_with_their_force_and_no_more(
     assert data.qpos[6] < thing[0][1] + SKIN_M
 
 
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("arm", slow_but(ARMS, "ur5"))
 @pytest.mark.parametrize(
     ("thing", "off_centre_m"), [(CUBE, 0.0), (STICK, 0.2)], ids=["cube", "stick"]
 )

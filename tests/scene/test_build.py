@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from recorded_episodes import EPISODES, first_instance
+from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS
@@ -11,7 +12,7 @@ from lemma.scene.build import ACTUATIONS, TIME_STEP_S, compile_model
 from lemma.scene.objects.entity import STICK
 
 
-@pytest.mark.parametrize(("task", "team"), EPISODES)
+@pytest.mark.parametrize(("task", "team"), slow_but(EPISODES, *EPISODES[1::3]))
 def test_every_team_of_every_task_compiles(task: str, team: str) -> None:
     spec = first_instance(task, team).scene
     model = compile_model(spec)
@@ -71,7 +72,7 @@ def test_velocity_motors_reach_their_speed() -> None:
     assert data.qvel[dof] == pytest.approx(0.7, abs=0.01)
 
 
-@pytest.mark.parametrize(("task", "team"), EPISODES)
+@pytest.mark.parametrize(("task", "team"), slow_but(EPISODES, *EPISODES[1::3]))
 def test_nothing_is_held_by_anything_but_friction(task: str, team: str) -> None:
     """The only equalities couple the two fingers of a gripper."""
     model = compile_model(first_instance(task, team).scene)

@@ -154,6 +154,7 @@ def test_rendering_prints_nothing_and_leaves_the_environment_alone() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_forked_child_is_told_to_spawn() -> None:
@@ -175,6 +176,7 @@ sys.exit(os.waitstatus_to_exitcode(status))
     assert (done.returncode, done.stderr) == (7, "")
 
 
+@pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_child_forked_before_the_first_picture_renders() -> None:

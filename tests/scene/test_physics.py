@@ -73,7 +73,7 @@ def moved_m(kind: str, before: FloatArray, after: FloatArray) -> float:
     return float(np.sqrt((change**2).sum(axis=1)).max())
 
 
-@pytest.mark.parametrize("arm", ["ur5", "ur10"])
+@pytest.mark.parametrize("arm", slow_but(["ur5", "ur10"], "ur5"))
 @pytest.mark.parametrize("kind", ["cube", "stick"])
 def test_a_minute_in_the_hand_moves_it_less_than_a_millimetre(
     arm: str, kind: str

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from recorded_episodes import first_instance, run_expert
+from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose
@@ -128,8 +129,8 @@ def test_another_scene_of_the_same_spec_goes_on_as_well(spec: SceneSpec) -> None
     assert steps(other, 250) == after
 
 
-@pytest.mark.parametrize("task", ["stack", "hook"])
-@pytest.mark.parametrize("tick", [150, 320, 450])
+@pytest.mark.parametrize("task", slow_but(["stack", "hook"], "hook"))
+@pytest.mark.parametrize("tick", slow_but([150, 320, 450], 320))
 def test_in_the_middle_of_a_skill_too(task: str, tick: int) -> None:
     """With an object in the hand or being put down: contacts are part of the state."""
     instance = first_instance(task, "ur5+ur10")

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from faulty_policies import BAD, MOVE, given, moved, view
 from interpreter import python
+from tiers import slow_but
 
 from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.loading import load_policy
@@ -65,7 +66,7 @@ def test_it_has_the_methods_that_the_class_has(sound: Policy) -> None:
     [
         ("Raises", FaultKind.RAISED, "KeyError: 'no such thing'"),
         ("Crashes", FaultKind.DIED, "signal 11"),
-        ("Leaves", FaultKind.DIED, "exit code 3"),
+        pytest.param("Leaves", FaultKind.DIED, "exit code 3", marks=pytest.mark.slow),
     ],
 )
 def test_faults_are_named(name: str, kind: FaultKind, words: str) -> None:
@@ -85,7 +86,7 @@ def test_a_process_that_the_system_kills_is_no_fault_of_the_policy() -> None:
     policy.close()
 
 
-@pytest.mark.parametrize("name", ["Hangs", "HangsForGood"])
+@pytest.mark.parametrize("name", slow_but(["Hangs", "HangsForGood"], "HangsForGood"))
 def test_what_hangs_is_killed_and_begun_again(name: str) -> None:
     policy: Any = isolate(f"faulty_policies:{name}", 0.5)
     with pytest.raises(PolicyFailedError, match=r"within 0\.5 s") as failed:
@@ -101,8 +102,9 @@ def test_what_hangs_is_killed_and_begun_again(name: str) -> None:
     [
         ("faulty_policies:CannotBeMade", "OSError: no weights"),
         ("faulty_policies:Missing", "There is no"),
-        ("no_such_module:Policy", "mypackage"),
-        ("collections:Counter", "no act"),
+        *slow_but(
+            [("no_such_module:Policy", "mypackage"), ("collections:Counter", "no act")]
+        ),
     ],
 )
 def test_what_cannot_be_made_is_explained_before_the_run(name: str, words: str) -> None:
@@ -156,6 +158,7 @@ def test_a_class_in_the_current_folder(
     policy.close()
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     script = tmp_path / "play.py"
     line = 'lemma.serve.isolation.isolate("collections:Counter", 9.0)'

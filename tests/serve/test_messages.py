@@ -28,6 +28,8 @@ from lemma.serve.messages import (
 from lemma.tasks.subtask import STOP, GroundedSubTask
 
 SOON_S = 5.0
+arrays_of: Any = arrays.arrays
+"""Of any type: mypy takes three seconds to choose between its overloads."""
 
 
 def plain(message: Any) -> dict[str, Any]:
@@ -50,7 +52,7 @@ def asked(**changes: Any) -> dict[str, Any]:
     st.sampled_from(sorted(VIEW_ARRAYS)).flatmap(
         lambda name: st.tuples(
             st.just(name),
-            arrays.arrays(
+            arrays_of(
                 np.dtype(VIEW_ARRAYS[name][0]),
                 arrays.array_shapes(
                     min_dims=VIEW_ARRAYS[name][1],

@@ -108,6 +108,7 @@ class Restarts:
         self.process, _ = start("Scripted", self.port)
 
 
+@pytest.mark.slow
 def test_a_server_killed_in_the_middle_gives_the_same_lines(
     tmp_path: Path, here: list[Row]
 ) -> None:

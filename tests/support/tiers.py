@@ -5,6 +5,9 @@ from typing import Any
 
 import pytest
 
+MODES = ("ee_pose", "delta_ee_pose_rot6d", "joint_velocity", "joint_torque")
+"""Controls that quick tests go through: a pose, a difference, a speed, a torque."""
+
 
 def slow_but(cases: Iterable[Any], *quick: Any) -> list[Any]:
     """Return all cases for ``pytest.mark.parametrize``, slow but for some.

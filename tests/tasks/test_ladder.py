@@ -2,6 +2,7 @@
 
 import pytest
 from recorded_episodes import played
+from tiers import slow_but
 
 from lemma.audit.run import attackers
 from lemma.core.errors import InvalidConfigError
@@ -71,7 +72,9 @@ def test_one_robot_can_and_from_place_on_it_is_open_which(rung: str) -> None:
         assert set(attackers(one)) == (others if rung == "place" else set())
 
 
-@pytest.mark.parametrize("task", [task for task in OWN if task == rung_of(task)])
+@pytest.mark.parametrize(
+    "task", slow_but([task for task in OWN if task == rung_of(task)], "hand_over")
+)
 def test_every_sentence_asks_for_the_goal(task: str) -> None:
     for index in range(SPLITS["test"]):
         instance = load_instance(task, "test", index)
@@ -94,7 +97,9 @@ def halfway(instance: Instance, seconds: float) -> Episode:
     return episode
 
 
-@pytest.mark.parametrize("task", ["reach", "lift", "place", "hand_over"])
+@pytest.mark.parametrize(
+    "task", slow_but(["reach", "lift", "place", "hand_over"], "lift")
+)
 def test_the_expert_broken_off_later_has_never_less_progress(task: str) -> None:
     instance = load_instance(task, "test", 3)
     begun = [halfway(instance, 0.4 * n) for n in range(1, 12)]
@@ -110,7 +115,7 @@ def test_the_expert_broken_off_later_has_never_less_progress(task: str) -> None:
     assert len(set(each)) >= min(3, len(stages))
 
 
-@pytest.mark.parametrize("task", ["reach", "lift", "place"])
+@pytest.mark.parametrize("task", slow_but(["reach", "lift", "place"], "place"))
 def test_going_by_reach_solves_it_and_stops(task: str) -> None:
     play = Rollout(load_instance(task, "test", 0))
     for _ in roll_out([play], Player(PolicySpec("greedy-reach").load())):

@@ -1,7 +1,6 @@
 """Nothing but cameras tells who must act first."""
 
 import pytest
-from tiers import slow_but
 
 from lemma.tasks.suite import SUITE
 from measure_meta_information import (
@@ -14,7 +13,8 @@ from measure_meta_information import (
 CHANCE, DEVIATION = 0.5, 0.5 / 800**0.5
 
 
-@pytest.mark.parametrize("task", slow_but(SUITE, "pass"))
+@pytest.mark.slow
+@pytest.mark.parametrize("task", SUITE)
 def test_arms_bases_and_counts_do_not_tell_who_begins(task: str) -> None:
     found = instances(task)
     assert len(found) == 800

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from recorded_episodes import acted_together, played
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import InvalidConfigError
@@ -46,7 +47,7 @@ def robots_of(layout: str, draw: int = 0) -> tuple[RobotPlacement, ...]:
 # --- Layouts -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("layout", LARGER)
+@pytest.mark.parametrize("layout", slow_but(LARGER, LARGER[0]))
 def test_robots_of_a_layout_differ_in_color_and_neighbors_share(layout: str) -> None:
     record = LAYOUTS[layout]
     for draw in range(5):
@@ -147,7 +148,7 @@ def test_nobody_can_be_done_without(task: str) -> None:
             assert {len(able) for able in who.values()} == {1}
 
 
-@pytest.mark.parametrize("task", FAMILIES)
+@pytest.mark.parametrize("task", slow_but(FAMILIES, "relay"))
 def test_no_coalition_has_a_plan(task: str) -> None:
     for index in range(2):
         instance = load_instance(task, "val", index)

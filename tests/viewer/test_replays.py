@@ -111,6 +111,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield found
 
 
+@pytest.mark.slow
 def test_page_plays_from_the_disk_without_a_network(
     browser: Browser, folder: Path
 ) -> None:
@@ -187,6 +188,7 @@ def test_results_are_named_by_their_files_too_and_others_refused(
         replays_in(lines.parent, "hook", None, 1)
 
 
+@pytest.mark.slow
 def test_expert_goes_on_where_several_robots_were_at_work(tmp_path: Path) -> None:
     played = tmp_path / "line"
     options = ("--policy", "oracle", "--tasks", "line", "--episodes", "1")

@@ -35,6 +35,7 @@ def options_of(play: TeamPlay, robot: str) -> tuple[SubTask, ...]:
     return play.options.subtasks
 
 
+@pytest.mark.slow
 def test_expert_acts_as_it_does_alone(play: TeamPlay) -> None:
     until(lambda: play.wait(0.0), play)
     assert play.status.phase is Phase.SOLVED
@@ -89,6 +90,7 @@ def test_robot_is_taken_ordered_and_handed_back_while_others_move(
     assert play.status.phase is Phase.SOLVED
 
 
+@pytest.mark.slow
 def test_expert_waits_for_the_visitor_who_has_taken_all(play: TeamPlay) -> None:
     until(lambda: len(play.status.lines) == 4, play)
     for robot in INSTANCE.scene.robot_names:
@@ -105,6 +107,7 @@ def test_expert_waits_for_the_visitor_who_has_taken_all(play: TeamPlay) -> None:
     assert play.status.phase is Phase.SOLVED
 
 
+@pytest.mark.slow
 def test_expert_plans_anew_when_a_cube_is_moved(play: TeamPlay) -> None:
     def fetched_next() -> list[str]:
         """Return cubes that somebody has put down for another robot."""

@@ -165,6 +165,7 @@ def test_it_is_replayed_to_the_bit(taken: Path, tmp_path: Path) -> None:
     assert lemma("replay", other) == 1
 
 
+@pytest.mark.slow
 def test_it_is_shown_again_and_whole(
     taken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -244,9 +245,8 @@ WHAT = {
 }
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
 def test_saved_at_any_moment_repeats_to_the_bit(seed: int, tmp_path: Path) -> None:
     luck, kept = Random(seed), []
     session = session_of(EpisodeRequest(TASKS[seed], "train", seed))

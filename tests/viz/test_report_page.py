@@ -295,6 +295,7 @@ def test_failures_are_drawn_and_filmed(cases: list[Case], tmp_path: Path) -> Non
     assert seen.size < 150_000
 
 
+@pytest.mark.slow
 def test_demo_fits_a_phone_and_its_subtasks_lead_into_the_video(
     browser: Page, tmp_path: Path
 ) -> None:

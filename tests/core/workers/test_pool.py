@@ -11,6 +11,7 @@ from pathlib import Path
 import ctrl_c
 import in_process
 import pytest
+from tiers import slow_but
 
 from lemma.core.errors import DatasetError, InvalidConfigError, WorkerError
 from lemma.core.workers.pool import (
@@ -112,6 +113,7 @@ def test_what_a_job_raises_comes_out_and_says_where(engine: Engine) -> None:
         assert "in fail_at" in caught.value.__notes__[0]
 
 
+@pytest.mark.slow
 def test_no_more_processes_than_jobs_are_started() -> None:
     assert len(set(ProcessPool(64).run(pid, [(0,), (1,)]))) <= 2
 
@@ -144,6 +146,7 @@ def test_a_program_that_workers_would_run_again_is_told_so(tmp_path: Path) -> No
     assert "memory" not in last
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_before_it_begins_is_replaced(tmp_path: Path) -> None:
     ended = run_program(
         tmp_path,
@@ -156,6 +159,7 @@ def test_a_worker_that_is_killed_before_it_begins_is_replaced(tmp_path: Path) ->
     assert (tmp_path / "killed").exists()
 
 
+@pytest.mark.slow
 def test_workers_that_always_die_are_not_replaced_for_ever_nor_others_lost() -> None:
     jobs: list[Job] = [(7,), *((i,) for i in range(3))]
     results = ProcessPool(2).run(die_at_seven, jobs)
@@ -175,6 +179,7 @@ def test_outside_of_a_job_nobody_hears_reports() -> None:
     assert count_up(2) == 2
 
 
+@pytest.mark.slow
 def test_results_in_the_order_of_the_jobs() -> None:
     jobs: list[Job] = [(i,) for i in range(8)]
     pool = ProcessPool(2)
@@ -297,7 +302,7 @@ def test_workers_end_with_the_process_that_started_them(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-@pytest.mark.parametrize("to", ["parent", "group"])
+@pytest.mark.parametrize("to", slow_but(["parent", "group"], "group"))
 def test_ctrl_c_ends_everything_at_once(
     parent: subprocess.Popen[bytes], to: str
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rendered_sets import TASKS, recipe, recipe_folder
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -65,7 +66,7 @@ def test_frames_are_the_steps_of_the_episode() -> None:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("depth", [True, False])
+@pytest.mark.parametrize("depth", slow_but([True, False], True))
 def test_features_are_what_frames_hold(depth: bool) -> None:
     style = Style(fps=2, width_px=64, height_px=48, depth=depth)
     frame = next(frames(recipe()[0], style))
@@ -146,6 +147,7 @@ def test_without_pictures_frames_may_hold_the_truth_as_environments_tell_it() ->
     assert first[f"{top}.on.{bottom}"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("control", "fps"), [(JOINT_POSITION, 5), *((one, 20) for one in MOTOR_CONTROLS)]
 )

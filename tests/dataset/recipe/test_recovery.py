@@ -108,6 +108,7 @@ def test_what_was_executed_differs_from_the_labels_where_it_was_perturbed() -> N
     assert kinds <= {NONE, *KINDS}
 
 
+@pytest.mark.slow
 def test_every_state_is_reproduced_to_the_bit() -> None:
     assert replay_all(load(perturbed_recipe()), Serial()) == []
 

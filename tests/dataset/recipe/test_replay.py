@@ -71,6 +71,7 @@ def test_a_changed_scene_drifts_from_the_start() -> None:
     assert 1e-5 < found.worst < 1e-2
 
 
+@pytest.mark.slow
 def test_all_drifting_episodes_are_returned(tmp_path: Path) -> None:
     good = [load(small_recipe()).find("stack", "val", i) for i in range(3)]
     bad = [replace(r, keyframe_sha256=("0" * 64,) * r.keyframes) for r in good[:2]]

@@ -153,6 +153,7 @@ def read(found: KeyframeDataset, index: int) -> Sample:
     return found[index]
 
 
+@pytest.mark.slow
 def test_workers_read_the_same() -> None:
     found = dataset(language=RESAMPLED)
     found.set_epoch(3)

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from tiers import MODES, slow_but
 
 import lemma
 from lemma.core.errors import InvalidActionError, InvalidConfigError
@@ -23,13 +24,13 @@ def flat(state: tuple[str, ...] = ("agent_pos",), **options: Any) -> FlatView:
     "ignore:.*different from the unwrapped version",
     "ignore:.*recommend using a symmetric and normalized space",
 )
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_gymnasium_finds_no_fault_in_a_flat_view(control: str) -> None:
     env = flat(STATES, control=control, observation="privileged")
     check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_a_row_of_numbers_does_what_the_rows_do(control: str) -> None:
     view, env = (
         flat(control=control),

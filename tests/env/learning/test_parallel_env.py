@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import InvalidActionError, ResetNeededError
@@ -22,7 +23,7 @@ def sample(env: LemmaParallelEnv) -> dict[str, Any]:
 
 
 @pytest.mark.filterwarnings("ignore:The option 'options' of reset")
-@pytest.mark.parametrize("task", SUITE)
+@pytest.mark.parametrize("task", slow_but(SUITE, "stack", "hook"))
 def test_pettingzoo_finds_no_fault(task: str) -> None:
     parallel_api_test(parallel(task, horizon_s=2.0), num_cycles=60)
 

@@ -155,6 +155,7 @@ def test_robots_that_nobody_asked_cannot_be_named() -> None:
         lemma.make("stack2", acting="together")
 
 
+@pytest.mark.slow
 def test_moves_drawn_by_chance_end_and_nothing_flies() -> None:
     env = team_env("carousel", horizon_s=20.0)
     rng, over = np.random.default_rng(0), False

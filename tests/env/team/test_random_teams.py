@@ -26,7 +26,7 @@ from lemma.tasks.suite import load_instance
 
 PLANS = int(os.environ.get("RANDOM_TEAMS", "40"))
 """Random plans, of which the first few are played by ``make test``."""
-SOON = 4
+SOON = 2
 TASKS = ("pass2", "sort", "carousel", "tower", "stack2", "line", "relay")
 EACH = 2
 """Moves of each robot in a plan, as a mean."""

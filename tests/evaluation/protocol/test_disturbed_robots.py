@@ -35,6 +35,7 @@ def first_subtask_s(kind: str) -> float:
     return result.duration_s
 
 
+@pytest.mark.slow
 def test_no_subtask_is_quicker_than_undisturbed() -> None:
     usual_s = first_subtask_s("")
     assert usual_s < first_subtask_s("durations") < 2.0 * usual_s

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from command import run
 from made_up import result
+from tiers import slow_but
 
 from expert_times import is_alike, time_expert
 from lemma.cli.reproduce import reproduce
@@ -166,7 +167,8 @@ def test_the_table_is_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "split", "index"), [("pass", "test", 7), ("stack2", "val", 4)]
+    ("task", "split", "index"),
+    slow_but([("pass", "test", 7), ("stack2", "val", 4)], ("pass", "test", 7)),
 )
 def test_the_table_is_what_the_expert_takes(task: str, split: str, index: int) -> None:
     own, _, other = time_expert(task, split, index)
@@ -179,7 +181,7 @@ def test_the_table_is_what_the_expert_takes(task: str, split: str, index: int) -
 INSTANCES = [(task, index) for task in SUITE for index in range(6)]
 
 
-@pytest.mark.parametrize("kind", EVALUATION_KINDS)
+@pytest.mark.parametrize("kind", slow_but(EVALUATION_KINDS, "human"))
 def test_swapped_colors_ask_for_another_goal(kind: str) -> None:
     there = 0
     for task, index in INSTANCES:

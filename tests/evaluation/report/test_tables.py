@@ -235,6 +235,7 @@ def test_the_verb_writes_a_page(
     assert NOT_RUN not in text.split("## ", 1)[1]
 
 
+@pytest.mark.slow
 def test_the_verb_passes_over_tables_and_refuses_nothing(tmp_path: Path) -> None:
     kept = tmp_path / "results"
     result(5).write(kept / "reachnet" / "seed-0.json")

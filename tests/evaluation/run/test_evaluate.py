@@ -98,6 +98,7 @@ def test_processes_give_the_same(tmp_path: Path, whole: list[Row]) -> None:
     assert timeless(rows) == timeless(whole)
 
 
+@pytest.mark.slow
 def test_a_result_grows_with_what_is_asked(tmp_path: Path) -> None:
     evaluate(order(tmp_path, tasks=("stack",), episodes=1), Serial())
     wider = order(tmp_path, tasks=TASKS, episodes=2, kinds=("high_level", "human"))
@@ -147,6 +148,7 @@ def test_the_expert_is_as_fast_as_the_expert(whole: list[Row]) -> None:
         assert (row["asked"], row["asked_holds"]) == (None, None)
 
 
+@pytest.mark.slow
 def test_the_expert_ignores_what_is_said(tmp_path: Path) -> None:
     rows = evaluate(order(tmp_path, episodes=2, language="swapped"), Serial())
     assert all(row["success"] for row in rows)
@@ -158,6 +160,7 @@ def test_the_expert_ignores_what_is_said(tmp_path: Path) -> None:
         assert row["instruction"] != own.instructions["high_level"]
 
 
+@pytest.mark.slow
 def test_perturbed_starts_are_solved_too(tmp_path: Path) -> None:
     wanted = order(tmp_path, episodes=2, perturb_start=True)
     assert wanted.command().endswith("--episodes 2 --perturb-start")

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tiers import slow_but
 
 from lemma.core.errors import (
     DatasetError,
@@ -267,7 +268,10 @@ def not_a_number(decision: Decision) -> Decision:
 
 @pytest.mark.parametrize(
     ("spoil", "kind"),
-    [(division, FaultKind.RAISED), (not_a_number, FaultKind.NOT_FINITE)],
+    slow_but(
+        [(division, FaultKind.RAISED), (not_a_number, FaultKind.NOT_FINITE)],
+        (not_a_number, FaultKind.NOT_FINITE),
+    ),
 )
 def test_the_others_solve_their_tasks(spoil: Any, kind: FaultKind) -> None:
     plays = [

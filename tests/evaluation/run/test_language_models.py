@@ -70,10 +70,8 @@ def test_counts_stand_in_lines_and_in_the_summary(recorded: Path) -> None:
     assert "127.0.0.1" not in json.dumps(about)
 
 
-@pytest.mark.parametrize(
-    ("workers", "mode"),
-    [(1, "strict"), pytest.param(2, "replay", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("workers", "mode"), [(1, "strict"), (2, "replay")])
 def test_replay_gives_the_same_bytes_without_a_server(
     tmp_path: Path, recorded: Path, workers: int, mode: Any
 ) -> None:
@@ -171,6 +169,7 @@ def test_the_run_goes_on_after_bad_answers(tmp_path: Path) -> None:
     assert lines(tmp_path / "again") == lines(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_server_that_goes_away_ends_the_run_and_what_is_done_stays(
     tmp_path: Path,
 ) -> None:

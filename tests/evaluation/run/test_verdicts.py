@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiers import slow_but
 
 import lemma
 from lemma.core.errors import DatasetError
@@ -80,6 +81,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     return evaluate(order(tmp_path_factory.mktemp("both"), "both"), Serial())
 
 
+@pytest.mark.slow
 def test_strictly_alone_gives_the_same_strict_lines(
     tmp_path: Path, played: list[Row]
 ) -> None:
@@ -125,7 +127,7 @@ def test_what_is_counted_is_of_the_strict_episode(played: list[Row]) -> None:
     assert retried["left"] == retried["subtasks"][0]["expert"]["left"]
 
 
-@pytest.mark.parametrize("strictly", [True, False])
+@pytest.mark.parametrize("strictly", slow_but([True, False], True))
 def test_episodes_played_again_are_equal(played: list[Row], strictly: bool) -> None:
     for row in played:
         instance = load_instance("stack", "val", row["index"])

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from tiers import slow_but
 
 from lemma.core.poses import FloatArray
 from lemma.env.signals.goal_state import NUMBERS
@@ -48,7 +49,7 @@ def play(env: HandEnv, policy: Policy, seed: int) -> tuple[float, bool]:
     return total, bool(info["is_success"])
 
 
-@pytest.mark.parametrize("task", ["lift_fixed", "lift"])
+@pytest.mark.parametrize("task", slow_but(["lift_fixed", "lift"], "lift"))
 def test_a_lift_pays_more_than_hovering_and_that_more_than_standing_still(
     task: str,
 ) -> None:

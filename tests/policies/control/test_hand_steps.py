@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from tiers import slow_but
 
 import lemma
 from lemma.policies.control.hand_steps import HandPolicy
@@ -14,8 +15,12 @@ WEIGHTS = Path(__file__).parents[3] / "weights"
     ("name", "tasks"),
     [
         ("hand_reach.pt", ("reach_fixed", "reach_varied", "reach")),
-        ("hand_lift.pt", ("lift_fixed", "lift_varied", "lift")),
-        ("hand_place.pt", ("place_fixed", "place_varied", "place")),
+        *slow_but(
+            [
+                ("hand_lift.pt", ("lift_fixed", "lift_varied", "lift")),
+                ("hand_place.pt", ("place_fixed", "place_varied", "place")),
+            ]
+        ),
     ],
 )
 def test_shipped_hands_do_in_every_degree_what_they_learned(

@@ -65,6 +65,7 @@ def test_the_default_fits_the_weights_that_ship() -> None:
     assert sum(weight.numel() for weight in model.parameters()) < 17.5e6
 
 
+@pytest.mark.slow
 def test_it_overfits_an_episode_and_then_acts_it_out() -> None:
     batch = drawn_batch(4)
     model = tiny()

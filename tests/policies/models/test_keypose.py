@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from kept import kept_folder
+from tiers import slow_but
 
 from lemma.core.seeding import stream
 from lemma.core.workers.pool import Serial
@@ -81,7 +82,7 @@ def waypoints(key: KeyPose, progress: Progress) -> tuple[Progress, np.ndarray]:
         rows.append(chunk)
 
 
-@pytest.mark.parametrize("task", ["lift", "place", "poke"])
+@pytest.mark.parametrize("task", slow_but(["lift", "place", "poke"], "place"))
 def test_the_experts_key_poses_solve(task: str) -> None:
     policy = ExpertKeyPoses()
     player = ControlPlayer(policy)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from tiers import slow_but
 from torch import Tensor
 
 from lemma.core.poses import Pose2
@@ -110,6 +111,7 @@ def can_drag(now: SymbolicState, by_m: float = 0.0) -> Tensor:
     return (found >= least - by_m).all(-1).flatten(-2).any(-1)
 
 
+@pytest.mark.slow
 def test_it_knows_who_can_do_what() -> None:
     """The next object may be moved by the robots that the expert names, alone.
 
@@ -142,7 +144,9 @@ def test_it_knows_who_can_do_what() -> None:
     assert len(wrong) <= 0.02 * same, wrong
 
 
-@pytest.mark.parametrize("task", [name for name in SUITE if "ok" in name])
+@pytest.mark.parametrize(
+    "task", slow_but([name for name in SUITE if "ok" in name], "hook")
+)
 def test_it_finds_a_drag_wherever_the_expert_does(task: str) -> None:
     """Before anything is learned: the gripper stays in reach."""
     grounding = ReachNetGrounder(use_reach=True)

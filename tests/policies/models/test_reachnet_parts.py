@@ -285,6 +285,7 @@ def test_goals_are_read_after_some_practice_in_any_colors() -> None:
         torch.testing.assert_close(both[0], both[1])
 
 
+@pytest.mark.slow
 def test_what_is_on_the_table_tells_what_is_meant() -> None:
     texts = ["Red cube onto blue pad", "Red cube onto blue cube"] * 2
     goals = goal_numbers(

@@ -55,6 +55,7 @@ def _write(path: Path, first: int) -> None:
         cassette.keep(request(f"{name}"), Reply(f"{name}"))
 
 
+@pytest.mark.slow
 def test_processes_write_one_file(tmp_path: Path) -> None:
     path = tmp_path / "c.jsonl"
     context = multiprocessing.get_context("spawn")

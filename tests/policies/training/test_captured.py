@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 from batches import TINY_STREAMS, drawn_batch
+from tiers import slow_but
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from lemma.policies.models.catalog import MODELS, make_model
@@ -45,7 +46,7 @@ def test_there_are_models_to_capture() -> None:
     assert {"reachnet", "cliport", "m-cliport"} <= set(CAPTURED)
 
 
-@pytest.mark.parametrize("name", CAPTURED)
+@pytest.mark.parametrize("name", slow_but(CAPTURED, "reachnet"))
 def test_the_loss_needs_no_text_and_waits_for_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

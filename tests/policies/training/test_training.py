@@ -13,6 +13,7 @@ import tiny_model
 import torch
 from painted_keyframes import painted, painted_recovery  # noqa: F401 - fixtures
 from safetensors.torch import load_file
+from tiers import slow_but
 from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.core.arguments import decode
@@ -144,7 +145,7 @@ def test_the_seed_decides(data: Path, tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("mixed", slow_but([False, True], True))
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
     data: Path,
     recovery: Path,
