@@ -301,7 +301,7 @@ def test_tables_of_before_are_freed() -> None:
         gc.collect()
         return play() is None and transport() is None
 
-    # Who was at work holds them until it hears that nobody waits any more.
+    # The robot at work holds them until it hears that nobody waits any more.
     until(are_freed)
     session.close()
 

@@ -76,7 +76,7 @@ FORGERIES = (
     *("", "makespan_s is 9.0", "clearance_mm is 999.0"),
     *("success", "act otherwise"),
 )
-"""What the verification says of them; of none, nothing."""
+"""The verification's words on them; none on no line."""
 
 
 @pytest.mark.parametrize("what", slow_but(FORGERIES, "", "makespan_s is 9.0"))
