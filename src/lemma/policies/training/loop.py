@@ -105,7 +105,6 @@ def train(
         held = only_writer(config.out) if team.first else nullcontext()
         with held, _explained(config):
             if team.device.type == "cuda":
-                torch.backends.cudnn.benchmark = True
                 torch.set_float32_matmul_precision("high")
             if restart and team.first:
                 clear_run(config.out)
@@ -119,6 +118,8 @@ class _Run:
     ) -> None:
         self.config, self.team, self.command = config, team, command
         self.model = first_model(config)
+        # Kernels are chosen by trying all, for every new shape: seconds each time.
+        torch.backends.cudnn.benchmark = self.model.of_fixed_shape
         self.data: Data = read_frames(config, team, self.model.entities)
         if team.first:
             open_run(config, self.model, self.data.about, command)
