@@ -114,10 +114,6 @@ def test_the_order_of_episodes_changes_no_episode(name: str) -> None:
     assert found[0] == found[1]
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="weights of version 2 act on one table of version 3, poke_stack/val/0",
-)
 @pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("reachnet")])
@@ -129,10 +125,6 @@ def test_ours_solves_an_episode_of_every_task(name: str) -> None:
     assert sum(bool(play.episode.info()["success"]) for play in over) >= 7
 
 
-@pytest.mark.xfail(
-    strict=False,
-    reason="weights of version 2 act on one table of version 3, poke_stack/val/0",
-)
 @pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("reachnet")])
