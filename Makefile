@@ -152,6 +152,9 @@ $(VENV)/play.stamp: $(VENV)/core.stamp
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/core.stamp
+	@$(PYTHON) scripts/prepare_system.py --browser
 	@echo "Installing the development tools into $(VENV) ..."
 	@$(INSTALL) -e '.[dev,docs]'
+	@echo "Compiling numerical kernels (a minute) ..."
+	@$(BIN)/python scripts/compile_kernels.py >/dev/null
 	@touch $@

@@ -2,6 +2,7 @@
 
 Run by ``make setup`` before any package is there, so it uses the standard library
 only. As root on Debian and Ubuntu it calls apt; elsewhere it says what to install.
+With ``--browser``, for ``make setup-dev``, it does the same for Chromium.
 """
 
 import ctypes
@@ -14,6 +15,7 @@ import sys
 EGL_PACKAGES = ["libegl1", "libgl1", "libgl1-mesa-dri"]
 # Newer distributions no longer have it, so it is asked for only if EGL fails.
 OSMESA_PACKAGES = ["libosmesa6"]
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 EGL_PLATFORM_DEVICE_EXT = 0x313F
 MAX_DEVICES = 16
 
@@ -37,6 +39,23 @@ def main() -> int:
                 f"Install one: {advice(EGL_PACKAGES)}"
             )
     return 0
+
+
+def prepare_browser() -> int:
+    """Install Chromium where there is no browser for the tests of pages; return 0."""
+    if not has_browser() and sys.platform == "linux":
+        install(["chromium"])
+        if not has_browser():
+            say(
+                "There is no Chromium, so tests of pages in a browser are left out. "
+                f"Install it: {advice(['chromium'])}"
+            )
+    return 0
+
+
+def has_browser() -> bool:
+    """Whether a browser of the kind that the tests drive is on the path."""
+    return any(shutil.which(name) for name in BROWSERS)
 
 
 def has_venv() -> bool:
@@ -137,4 +156,4 @@ def say(text: str) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--probe"]:
         sys.exit(not PROBES[sys.argv[2]]())
-    sys.exit(main())
+    sys.exit(prepare_browser() if sys.argv[1:2] == ["--browser"] else main())

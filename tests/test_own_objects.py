@@ -154,6 +154,7 @@ def test_another_goal_is_asked_for_in_the_same_words() -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_it_is_drawn_in_its_color() -> None:
     env = lemma.make("can_stack", split="free", index=0, observation="map")

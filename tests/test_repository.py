@@ -324,6 +324,7 @@ def resolves(name: str) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_the_life_of_an_episode_runs_as_printed() -> None:
     page = (ROOT / "docs/concepts.md").read_text()
     code = (

@@ -156,6 +156,7 @@ def test_gymnasium_knows_one_task_by_one_name() -> None:
         lemma.TASKS.add("stack_2", other)
 
 
+@pytest.mark.slow
 def test_own_task_is_evaluated_and_reported_without_it(capsys, tmp_path: Path) -> None:
     result = tmp_path / "result"
     with loaded(PILE):

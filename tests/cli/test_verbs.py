@@ -155,6 +155,7 @@ for policy in ("reachnt", "reachnet"):
 """
 
 
+@pytest.mark.slow
 def test_a_misspelled_policy_is_understood_without_torch(tmp_path: Path) -> None:
     done = python("-c", WITHOUT_TORCH, "--out", tmp_path / "out", "--episodes", "1")
     assert done.stdout == "2\n2\n"

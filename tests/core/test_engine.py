@@ -42,6 +42,7 @@ def test_mujoco_alone_cannot_be_imported(setting: str) -> None:
     assert run(setting, "-c", "import mujoco").returncode == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", BROKEN)
 def test_what_needs_no_picture_works(setting: str) -> None:
     done = run(
@@ -58,6 +59,7 @@ def test_what_needs_no_picture_works(setting: str) -> None:
     assert (done.stdout, done.stderr.replace(NOTICE, "")) == ("True\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", BROKEN)
 def test_who_asks_for_a_picture_is_told(setting: str, tmp_path: Path) -> None:
     done = run(

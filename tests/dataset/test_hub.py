@@ -292,6 +292,7 @@ def test_no_network(
     assert set(visible(back)) == {"README.md", MANIFEST, "val/stack.parquet"}
 
 
+@pytest.mark.slow
 def test_offline_by_wish(tmp_path: Path) -> None:
     code = "from lemma.cli.main import main; main()"
     words = ("pull", NAME, str(tmp_path / "back"))

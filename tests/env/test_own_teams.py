@@ -102,6 +102,7 @@ def three_arms() -> Instance:
     return Instance("stack", "free", 0, scene, goal, words, ())
 
 
+@pytest.mark.slow
 def test_three_robots_plan_and_work_together() -> None:
     instance = three_arms()
     episode = Episode(instance)

@@ -182,6 +182,7 @@ class Plain:
         return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("team", slow_but(TEAMS, "two"))
 def test_nothing_that_matters_is_left_out(team: str) -> None:
     simulation, rng = simulation_of(team), np.random.default_rng(len(team))

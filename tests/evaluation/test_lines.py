@@ -210,6 +210,7 @@ def test_what_was_played_is_compared_with_what_is_committed(tmp_path: Path) -> N
         compare(mine, path)
 
 
+@pytest.mark.slow
 def test_verbs_find_episodes_in_a_fresh_checkout(
     committed: Path, tmp_path: Path
 ) -> None:

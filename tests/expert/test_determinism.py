@@ -48,6 +48,7 @@ def test_run_in_another_process(elsewhere: ProcessPoolExecutor) -> None:
         assert found[task] == list(recorded(task, TEAM).hashes)
 
 
+@pytest.mark.slow
 def test_sampled_in_another_process(elsewhere: ProcessPoolExecutor) -> None:
     """Instance k is the same, whatever was sampled before it."""
     here = [free_hash(*key) for key in FREE]

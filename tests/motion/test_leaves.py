@@ -132,6 +132,7 @@ def test_axes_are_the_sum_of_three_leaves_pulled_back() -> None:
         assert weight * joints.T @ together == pytest.approx(force)
 
 
+@pytest.mark.slow
 def test_posture_pulls_to_its_goal_and_is_capped() -> None:
     """The acceleration grows with the distance up to the cap, then keeps its size."""
     parameters = only("posture")

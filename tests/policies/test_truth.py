@@ -185,6 +185,7 @@ def test_nor_beside_an_oracle(between: Callable[[Spy], Planner]) -> None:
 # --- Oracles say so -----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_oracle_is_told_all_and_its_result_says_so(tmp_path: Path) -> None:
     spec = PolicySpec("reachable:Confidant", timeout_s=0.0)
     policy = load_policy(spec)
@@ -221,6 +222,7 @@ def test_who_does_not_say_so_by_its_class_is_refused() -> None:
         load_policy(PolicySpec("reachable:disguised", timeout_s=0.0))
 
 
+@pytest.mark.slow
 def test_the_truth_does_not_travel() -> None:
     with pytest.raises(InvalidConfigError, match="no other process"):
         load_policy(PolicySpec("reachable:Confidant"))

@@ -79,6 +79,7 @@ def test_a_socket_gives_the_same_lines_to_two_processes(
     assert lines(tmp_path) == here
 
 
+@pytest.mark.slow
 def test_a_process_gives_the_same_lines(tmp_path: Path, here: list[Row]) -> None:
     evaluate(order(tmp_path, NAME), Serial())
     assert lines(tmp_path) == here

@@ -24,6 +24,7 @@ def test_arms_bases_and_counts_do_not_tell_who_begins(task: str) -> None:
     assert share_right(told, begins) < CHANCE + 3.0 * DEVIATION
 
 
+@pytest.mark.slow
 def test_it_would_be_found_if_a_base_told() -> None:
     found = instances("poke", ("test",))
     told = [meta_information(instance) for instance in found]

@@ -164,7 +164,7 @@ def test_no_coalition_has_a_plan(task: str) -> None:
 # --- Frozen lists ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", FAMILIES)
+@pytest.mark.parametrize("task", slow_but(FAMILIES, "relay"))
 def test_tables_are_those_that_the_sampler_sets(task: str) -> None:
     record = TASKS[task]
     tables = [load_instance(task, "test", index) for index in range(60)]
@@ -175,7 +175,7 @@ def test_tables_are_those_that_the_sampler_sets(task: str) -> None:
         assert problems(one) == ()
 
 
-@pytest.mark.parametrize("task", FAMILIES)
+@pytest.mark.parametrize("task", slow_but(FAMILIES, "relay"))
 def test_the_expert_solves_it_one_at_a_time_and_together(task: str) -> None:
     alone, together = played(task), acted_together(task)
     assert all(step.result.ok for step in together.steps)

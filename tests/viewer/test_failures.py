@@ -56,6 +56,7 @@ def told_at(page: FailurePage, path: str) -> Any:
     return told
 
 
+@pytest.mark.slow
 def test_every_failure_can_be_played_beside_the_expert_or_another(
     page: FailurePage,
 ) -> None:

@@ -161,6 +161,7 @@ def test_pages_of_a_folder_share_one_player(
     browser.wait_for("document.body.dataset.at > 0")
 
 
+@pytest.mark.slow
 def test_recipe_is_looked_at_too(tmp_path: Path) -> None:
     recipe = tmp_path / "recipe"
     order = GenerateConfig(out=recipe, tasks=("pass",), splits=("val",), episodes=1)

@@ -137,6 +137,7 @@ def test_session_offers_it_and_begins_teams_with_it() -> None:
     session.close()
 
 
+@pytest.mark.slow
 def test_words_name_robots_by_color_not_by_number(play: TeamPlay) -> None:
     until(lambda: play.transport.end_s > 1.0, play)
     said = [line.words for line in play.status.lines]

@@ -155,6 +155,7 @@ def test_policy_goes_on_where_a_visitor_hands_back(taken: Path) -> None:
     assert all(isinstance(part, Executed) and part.until_s is None for part in rest)
 
 
+@pytest.mark.slow
 def test_it_is_replayed_to_the_bit(taken: Path, tmp_path: Path) -> None:
     assert lemma("replay", taken) == 0
     # A tenth of a millimetre, for a twentieth of a second, is noticed.

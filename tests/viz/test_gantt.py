@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 from recorded_episodes import INDEX, acted_together
+from tiers import slow_but
 
 from lemma.core.seeding import ordered_sum
 from lemma.tasks.subtask import Primitive, SubTask
@@ -105,7 +106,7 @@ def test_present_says_no_more_than_is_known() -> None:
     assert row(known, 3) == [("no work", 0.0, 4.0)]
 
 
-@pytest.mark.parametrize("way", ["together", "turns"])
+@pytest.mark.parametrize("way", slow_but(["together", "turns"], "turns"))
 def test_spans_of_an_episode_are_its_lines(
     way: str, request: pytest.FixtureRequest
 ) -> None:
@@ -128,6 +129,7 @@ def test_spans_of_an_episode_are_its_lines(
     assert (Cause.TURN in causes) == (way == "turns")
 
 
+@pytest.mark.slow
 def test_waits_are_those_that_the_reservations_count(together: Recording) -> None:
     done = acted_together("carousel")
     assert sorted(step.start_s for step in done.steps) == [
@@ -146,6 +148,7 @@ def test_waits_are_those_that_the_reservations_count(together: Recording) -> Non
         assert step.start_s < step.effect_s < step.end_s
 
 
+@pytest.mark.slow
 def test_chart_has_a_bar_for_each_span_and_no_markup_of_others(
     together: Recording,
 ) -> None:

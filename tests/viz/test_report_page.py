@@ -265,6 +265,7 @@ def test_pictures_are_of_some_episodes_or_one(cases: list[Case]) -> None:
     assert within({}, 1.0) == {}
 
 
+@pytest.mark.slow
 def test_the_verb_writes_page_tables_and_figures(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -137,6 +137,7 @@ def run_program(folder: Path, *lines: str) -> "subprocess.CompletedProcess[str]"
     )
 
 
+@pytest.mark.slow
 def test_a_program_that_workers_would_run_again_is_told_so(tmp_path: Path) -> None:
     ended = run_program(tmp_path, "if True:")
     assert ended.returncode == 1
@@ -187,6 +188,7 @@ def test_results_in_the_order_of_the_jobs() -> None:
     assert next(pool.run(later_is_faster, jobs)) != 0
 
 
+@pytest.mark.slow
 def test_what_cannot_be_sent_is_an_error_with_its_cause() -> None:
     with pytest.raises(AttributeError, match="lambda"):
         list(ProcessPool(1).run(answer_with_a_function, [(0,)]))

@@ -89,6 +89,7 @@ def test_features_are_what_frames_hold(depth: bool) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_another_sentence_can_be_the_task() -> None:
     assert next(frames(recipe()[0], STYLE, "human"))["task"] == recipe()[0].human

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from recipes import made_up, small_recipe, write_recipe
 from recorded_episodes import played, recorded
+from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.files import read_json
@@ -23,6 +24,8 @@ from make_recipe import export
 LISTS = [(task, split) for task in SUITE for split in SPLITS]
 OTHER_LISTS = [(task, split) for task in LISTED[len(SUITE) :] for split in SPLITS]
 DIGESTS = Path(str(files("lemma.dataset") / "digests"))
+NAMED = tuple(t for t in LISTED if not t.endswith(("_fixed", "_varied")))
+"""A task of each name; the degrees of a rung are slow."""
 SEED = 20230802
 
 
@@ -66,7 +69,7 @@ def check(record: EpisodeRecord) -> None:
 
 
 @on_the_same_platform
-@pytest.mark.parametrize("task", LISTED)
+@pytest.mark.parametrize("task", slow_but(LISTED, *NAMED))
 def test_an_episode_of_every_task_is_made_again_to_the_bit(task: str) -> None:
     done = recorded(task, "ur5+ur10") if task in SUITE else played(task)
     check(done.record)

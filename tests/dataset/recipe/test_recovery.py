@@ -59,6 +59,7 @@ def decision(row: Any) -> tuple[str, ...]:
     return tuple(str(getattr(row, name)) for name in DECISION)
 
 
+@pytest.mark.slow
 def test_labels_are_what_an_expert_decides_that_sees_the_state_for_the_first_time() -> (
     None
 ):
@@ -128,6 +129,7 @@ def test_processes_and_interrupted_runs_write_the_same_bytes(tmp_path: Path) -> 
     assert generate(order, Serial()).made == 0
 
 
+@pytest.mark.slow
 def test_other_seeds_make_other_mistakes_in_the_same_instance() -> None:
     instance = load_instance("stack", "train", 0)
     one, again, other = (

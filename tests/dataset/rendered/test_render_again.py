@@ -91,6 +91,7 @@ def test_tasks_can_be_rendered_one_after_the_other(
     assert bytes_of(tmp_path / "set") == bytes_of(undisturbed)
 
 
+@pytest.mark.slow
 def test_a_recipe_that_has_grown_is_rendered_again(tmp_path: Path) -> None:
     def grow(episodes: int) -> int:
         recipe_order = GenerateConfig(

@@ -66,6 +66,7 @@ def test_a_relay_is_ordered_at_once_and_each_waits_for_the_one_before() -> None:
     assert (reward, terminated, truncated) == (1.0, True, False)
 
 
+@pytest.mark.slow
 def test_orders_to_one_robot_at_a_time_give_the_same_state_as_turns() -> None:
     turns = lemma.make("stack2", level="plan", split="test", index=0)
     together = team_env("stack2")

@@ -116,6 +116,7 @@ def test_lessons_for_the_reader_come_behind_the_instructions(
     ]
 
 
+@pytest.mark.slow
 def test_it_says_why_it_decides(novice: ReachNet) -> None:
     inputs = inputs_of(drawn_batch(3))
     read = [found.goal for found in novice.understand(inputs)]
@@ -150,6 +151,7 @@ def test_losses_are_finite_and_reach_what_they_shall(reach: Reach) -> None:
     assert [name for name in still if not name.startswith(blind)] == []
 
 
+@pytest.mark.slow
 def test_a_decision_does_not_depend_on_the_rest_of_the_batch(novice: ReachNet) -> None:
     batch = drawn_batch(5, seed=1)
     together = novice.score(batch)
@@ -216,6 +218,7 @@ def test_what_cannot_be_grounded_is_explained() -> None:
     assert "not seen" in decision.explanation
 
 
+@pytest.mark.slow
 def test_what_keeps_failing_is_tried_less(novice: ReachNet) -> None:
     given = inputs_of(drawn_batch(3))[0]
     [wanted] = novice.plan([given])

@@ -105,6 +105,7 @@ def test_there_are_forty_of_each_task_and_no_two_are_the_same() -> None:
     assert repeated == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", slow_but(SUITE, "stack2"))
 def test_each_asks_for_one_goal_whichever_template_reads_it(task: str) -> None:
     every = [*OTHERS, *(t for name in SUITE for t in blind_templates(name))]
