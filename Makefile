@@ -14,6 +14,8 @@ JOBS ?= 3
 REPLAYS ?= 0
 # The tests that `make test` runs. Plain `pytest` runs all.
 SELECT ?= not slow
+# The code whose types `make test` checks; `make types TYPED=` adds that of the tests.
+TYPED ?= src scripts examples integrations
 # The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
@@ -51,6 +53,7 @@ test: setup-dev ## All checks, and the tests that are not marked `slow`.
 	$(MAKE) -j $(JOBS) types docs tests
 
 test-all: export SELECT :=
+test-all: export TYPED :=
 test-all: test ## All checks and all tests.
 
 lint: setup-dev ## Style, formatting and spelling.
@@ -59,7 +62,7 @@ lint: setup-dev ## Style, formatting and spelling.
 	$(BIN)/codespell
 
 types: setup-dev ## Static types.
-	$(BIN)/mypy
+	$(BIN)/mypy $(TYPED)
 
 layers: setup-dev ## Which module may import which.
 	$(BIN)/lint-imports
