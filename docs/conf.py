@@ -15,6 +15,7 @@ release = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "facts"]
 autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
