@@ -16,6 +16,9 @@ REPLAYS ?= 0
 SELECT ?= not slow
 # The code whose types `make test` checks; `make types TYPED=` adds that of the tests.
 TYPED ?= src scripts examples integrations
+# How Sphinx builds: `make test` has it read the pages and resolve links, no more.
+BUILDER ?= html
+BUILDER_OF_TEST ?= dummy
 # The first interpreter of a supported version; `make PYTHON=/path/to/python` overrules.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' \
@@ -50,10 +53,11 @@ bench: setup ## Measure speed and the expert's success (takes long).
 test: setup-dev ## All checks, and the tests that are not marked `slow`.
 	$(MAKE) -j $(JOBS) lint layers
 	@# Tests wait now and then; checks that take a minute fill that time.
-	$(MAKE) -j $(JOBS) types docs tests
+	$(MAKE) -j $(JOBS) BUILDER=$(BUILDER_OF_TEST) types docs tests
 
 test-all: export SELECT :=
 test-all: export TYPED :=
+test-all: export BUILDER_OF_TEST := html
 test-all: test ## All checks and all tests.
 
 lint: setup-dev ## Style, formatting and spelling.
@@ -68,7 +72,7 @@ layers: setup-dev ## Which module may import which.
 	$(BIN)/lint-imports
 
 docs: setup-dev ## The documentation, in out/docs; with `REPLAYS=1`, tasks can be seen moving.
-	$(BIN)/sphinx-build -q -W --keep-going -b html -D replays=$(REPLAYS) docs $(OUT)/docs
+	$(BIN)/sphinx-build -q -W --keep-going -b $(BUILDER) -D replays=$(REPLAYS) docs $(OUT)/docs
 
 tests: setup-dev ## The tests alone; `make tests SELECT=` adds the slow ones.
 	@# Neighbors share what is made for them: they stay together until a worker is idle.

@@ -35,6 +35,7 @@ def test_import_registers(name: str) -> None:
     assert spec.entry_point == "lemma.registration:make"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "code",
     [

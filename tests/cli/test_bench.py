@@ -87,6 +87,7 @@ def test_trials_are_the_same_in_several_processes() -> None:
     assert [trial.fresh for trial in alone] == [False, False, True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_figures_of_a_policy(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("bench", "pass", "--episodes", "1", "--policy", "oracle", "--json") == 0

@@ -19,6 +19,7 @@ from lemma.tasks.language.template import KINDS
 FORMS = ("keyframes", "lerobot")
 
 
+@pytest.mark.slow
 def test_without_the_lerobot_package_it_is_said_how_to_get_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

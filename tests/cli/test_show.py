@@ -49,6 +49,7 @@ def test_demo_needs_a_folder_for_its_page(
     assert "file cannot be used: File exists." in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.parametrize("robots", slow_but([1, 2], 1))
 def test_table_with_one_robot_or_one_sentence_is_shown(

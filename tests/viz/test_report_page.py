@@ -251,6 +251,7 @@ def test_demo_is_offered_where_it_plays_the_same(cases: list[Case]) -> None:
         assert demo_command(told) == ""
 
 
+@pytest.mark.slow
 def test_pictures_are_of_some_episodes_or_one(cases: list[Case]) -> None:
     (chosen,) = choose(cases, ReportOptions(episode="high-level/stack/2"))
     assert chosen == (2, cases[2])

@@ -196,6 +196,7 @@ def test_what_cannot_be_sent_is_an_error_with_its_cause() -> None:
         list(ProcessPool(1).run(fail_unsendably, [(3,)]))
 
 
+@pytest.mark.slow
 def test_workers_are_gone_when_the_iteration_ends() -> None:
     before = children(os.getpid())
     results = ProcessPool(2).run(pid, [(i,) for i in range(100)])

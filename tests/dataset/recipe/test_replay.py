@@ -21,6 +21,7 @@ def record() -> EpisodeRecord:
     return load(small_recipe()).find("stack", "val", 0)
 
 
+@pytest.mark.slow
 def test_every_state_is_reproduced_to_the_bit() -> None:
     counts: list[int] = []
     # One of each task and split.

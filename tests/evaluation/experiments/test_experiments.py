@@ -170,6 +170,7 @@ def test_beside_its_training_stands_how_a_published_one_was_really_made(
     assert "ended by its time limit after 12 steps" in line
 
 
+@pytest.mark.slow
 def test_an_experiment_leaves_two_small_files(tmp_path: Path) -> None:
     plan = Reproduction(out=tmp_path, split="val", episodes=1)
     oracle = replace(

@@ -181,6 +181,7 @@ def test_the_table_is_what_the_expert_takes(task: str, split: str, index: int) -
 INSTANCES = [(task, index) for task in SUITE for index in range(6)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", slow_but(EVALUATION_KINDS, "human"))
 def test_swapped_colors_ask_for_another_goal(kind: str) -> None:
     there = 0

@@ -61,6 +61,7 @@ class Breaks(Serial):
         return super().run(function, jobs, hear)
 
 
+@pytest.mark.slow
 def test_the_expert_succeeds_in_every_line(whole: list[Row]) -> None:
     assert len(whole) == 8
     assert all(row["success"] and row["progress"] == 1.0 for row in whole)

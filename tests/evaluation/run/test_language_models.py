@@ -52,6 +52,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_counts_stand_in_lines_and_in_the_summary(recorded: Path) -> None:
     rows = lines(recorded)
     told = [row["planning"] for row in rows]
@@ -98,6 +99,7 @@ def test_processes_record_what_one_does(tmp_path: Path) -> None:
     assert lines(tmp_path / "1") == lines(tmp_path / "2")
 
 
+@pytest.mark.slow
 def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
     tmp_path: Path, recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +120,7 @@ def test_a_changed_prompt_is_a_clear_error_in_strict_mode(
         assert words in told
 
 
+@pytest.mark.slow
 def test_another_setting_is_a_clear_error_too(tmp_path: Path, recorded: Path) -> None:
     chat = ChatOptions(
         cassette=recorded / "c.jsonl", cassette_mode="strict", max_tokens=7

@@ -118,6 +118,7 @@ def test_nothing_is_done_where_there_is_nothing_to_do() -> None:
     assert len(waypoints(NOWHERE, begun())[1]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_data_hold_a_frame_for_each_key_pose() -> None:
     labels = batch().labels

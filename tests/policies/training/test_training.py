@@ -309,6 +309,7 @@ def test_the_learning_rate_rises_and_falls(data: Path, tmp_path: Path) -> None:
     assert rates[100] == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 def test_time_is_up(data: Path, tmp_path: Path) -> None:
     run = config(data, tmp_path, steps=100_000, val_every=100_000, time_limit_s=1.0)
     report = train(run)
