@@ -62,15 +62,15 @@ class Evaluation:
 
         Where robots act together, what they do with their time as well.
         """
-        told = rates(self.result.cells).markdown()
+        text = rates(self.result.cells).markdown()
         teams = self.result.teams
-        told += f"\n{team_table(teams).markdown()}" if teams else ""
+        text += f"\n{team_table(teams).markdown()}" if teams else ""
         if self.errors:
-            told += (
+            text += (
                 f"\n{len(self.errors)} of {len(self.rows)} episodes failed because the "
                 f"policy did. The first: {self.errors[0]}\n"
             )
-        return told
+        return text
 
 
 def evaluate(  # noqa: PLR0913 - by name, most have a default
@@ -143,9 +143,9 @@ def _evaluated(
     return Evaluation(result, tuple(rows))
 
 
-def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
     """Return one name, or several, as several."""
-    return (given,) if isinstance(given, str) else tuple(given)
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:

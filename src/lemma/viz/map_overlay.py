@@ -113,7 +113,7 @@ def _name_entities(
         if name == STICK:
             pose = pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0)
         places[name] = pixel_of(pose.x, pose.y, width)
-    taken = []
+    occupied = []
     for top, bottom in instance.goal.pairs:
         if HAND in (top, bottom):
             at = places[bottom if top == HAND else top]
@@ -121,15 +121,15 @@ def _name_entities(
             continue
         start, end = _shorten(places[top], places[bottom], 1.1 * size)
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)
-        taken += [_around(start, size), _around(end, size)]
+        occupied += [_around(start, size), _around(end, size)]
     labels = [(at, name, _ink_of(name), 2.0) for name, at in places.items()]
     titles = robot_titles(instance).items()
     for (name, title), placed in zip(titles, instance.scene.robots, strict=True):
         at = pixel_of(placed.base.x, placed.base.y, width)
         labels.append((at, f"{name}: {title}", ROBOT_INK[placed.color], 3.2))
-    taken += [_around(at, 0.8 * size) for at, *_ in labels]
+    occupied += [_around(at, 0.8 * size) for at, *_ in labels]
     for at, text, ink, away in labels:
-        canvas.label(at, text, size, ink, away * size, taken)
+        canvas.label(at, text, size, ink, away * size, occupied)
 
 
 def _ink_of(entity: str) -> Color:

@@ -198,7 +198,7 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
     end = rollout.verdict()
     strict = rollout.protective_stop or end
     subtasks = subtasks_of(rollout.steps)
-    taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
+    strict_subtasks, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks
     least_m = strict.clearance_m
     place = instance.task, instance.split, instance.index
@@ -220,10 +220,10 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         "idle_s": {name: round(idle, 3) for name, idle in strict.idle_s.items()},
         "coordination": {
             "expert_s": expert_s(*place, perturbed_start=moved),
-            **count_steps(taken, strict.left),
+            **count_steps(strict_subtasks, strict.left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
         },
-        "subtasks": taken,
+        "subtasks": strict_subtasks,
         "left": strict.left,
         **rollout.fields(strict),
         **planning,

@@ -312,12 +312,12 @@ class HandPolicy:
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next action for each episode."""
-        return [self._act(given) for given in inputs]
+        return [self._act(control_input) for control_input in inputs]
 
-    def _act(self, given: ControlInput) -> Actions:
-        seen = given.observation
+    def _act(self, control_input: ControlInput) -> Actions:
+        seen, memory = control_input.observation, control_input.memory
         # A memory is never changed: an episode may be played on from it twice.
-        hand = Hand(seen) if given.memory is None else copy(given.memory)
+        hand = Hand(seen) if memory is None else copy(memory)
         # Older networks know nothing of the last numbers.
         row = self.actor(hand.look(seen)[:, : self._numbers])
         return Actions(hand.command(row), hand)

@@ -287,12 +287,12 @@ class Play:
         try:
             if not self._read(rollout, player):
                 return
-            told = ObservedPolicy(player.policy, self._decided)
+            policy = ObservedPolicy(player.policy, self._decided)
             (self.transport.step if self._steps else self.transport.play)()
-            heard = ControlPlayer(told) if controls else Player(told, player.rig)
+            observed = ControlPlayer(policy) if controls else Player(policy, player.rig)
             while not (rollout.episode.is_over or rollout.fault):
                 try:
-                    for _ in roll_out([rollout], heard, on_step=self._stepped):
+                    for _ in roll_out([rollout], observed, on_step=self._stepped):
                         pass
                 except InterruptedEpisodeError:
                     if not rollout.episode.is_over:
@@ -334,8 +334,8 @@ class Play:
         elif reading is None and isinstance(player, ControlPlayer):
             reading = SILENT
         elif reading is None:
-            given = player.policy_input(rollout)
-            reading = ask_reader(player.policy, given, rollout.instance)
+            policy_input = player.policy_input(rollout)
+            reading = ask_reader(player.policy, policy_input, rollout.instance)
         if self.request.saying == OWN_WORDS:
             scene = rollout.episode.simulation.scene
             reading = check_plan(reading, scene, needed=knows)

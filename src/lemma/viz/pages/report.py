@@ -131,7 +131,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
 def demo_command(case: Case) -> str:
     """Return the command that lets the policy play again; ``""`` if none does."""
     row, policy = case.row, case.about["policy"]
-    seeds = {told.get("seed", 0) for told in case.about["weights"].values()}
+    seeds = {entry.get("seed", 0) for entry in case.about["weights"].values()}
     same = (
         # Weights of other training seeds are found by their path alone.
         (seeds <= {0} or "/" in policy["name"])

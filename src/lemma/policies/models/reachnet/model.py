@@ -33,7 +33,7 @@ from lemma.policies.models.reachnet.grounder import (
     ReachNetGrounder,
     demonstrated_reach,
     score_decisions,
-    score_eye,
+    score_perception,
 )
 from lemma.policies.models.reachnet.perception import (
     Perception,
@@ -142,10 +142,10 @@ class ReachNet(MapModel):
         labels = batch.labels
         assert labels is not None
         marks, coarse = self.eye(batch)
-        told = batch.text_tensors or self.text_tensors(batch)
-        words = Sentences(*told["words"])
-        reading = self.reader.loss(words, told["goal"], told["reasons"])
-        goal = told["goal"][: len(batch)]
+        tensors = batch.text_tensors or self.text_tensors(batch)
+        words = Sentences(*tensors["words"])
+        reading = self.reader.loss(words, tensors["goal"], tensors["reasons"])
+        goal = tensors["goal"][: len(batch)]
         with torch.autocast(self.device.type, enabled=False):
             rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = self._true_rings(labels)
@@ -241,7 +241,7 @@ class ReachNet(MapModel):
             table, decision, _ = self._decide(batch)
             with torch.autocast(self.device.type, enabled=False):
                 poses = self.grounding(table, decision)
-                told = self.grounding(table, labels.decision)
+                demonstrated = self.grounding(table, labels.decision)
                 goal = goal_numbers(labels.goals, self.device, batch.entities)
                 read, _ = self.reader.read(batch.instructions, table.present)
                 # The order of the two pairs does not matter.
@@ -251,9 +251,11 @@ class ReachNet(MapModel):
             rings = table.rings if known is None else known
             truth = true_table(labels, rings, batch.raster, batch.entities)
             return {
-                **score_decisions(decision, poses, told, labels, batch.entities),
+                **score_decisions(
+                    decision, poses, demonstrated, labels, batch.entities
+                ),
                 "reading": right.float(),
-                **score_eye(table, truth, batch.raster),
+                **score_perception(table, truth, batch.raster),
             }
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
@@ -334,10 +336,10 @@ class ReachNet(MapModel):
     ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
         """Yield batches, and what has failed since something last succeeded."""
         failed = []
-        for given in inputs:
-            outcomes = [step.outcome for step in reversed(given.past)]
+        for policy_input in inputs:
+            outcomes = [step.outcome for step in reversed(policy_input.past)]
             since = [*outcomes, _SUCCESS].index(_SUCCESS)
-            failed.append([step.subtask for step in given.past[::-1][:since]])
+            failed.append([step.subtask for step in policy_input.past[::-1][:since]])
         for batch in self.batches(inputs):
             yield batch, failed[: len(batch)]
             failed = failed[len(batch) :]

@@ -190,10 +190,10 @@ class Perception(nn.Module):
         grid = (bases / half).clamp(-1.0, 1.0).unsqueeze(2)
         seen = F.grid_sample(coarse, grid, align_corners=False).squeeze(3)
         joints = torch.cat([batch.joints.sin(), batch.joints.cos()], -1).float()
-        told = torch.ones_like(joints[..., :1])
+        kept = torch.ones_like(joints[..., :1])
         if self.training:
-            told = (torch.rand_like(told) >= self.config.joint_dropout).float()
-        parts = [seen.transpose(1, 2), joints * told, told]
+            kept = (torch.rand_like(kept) >= self.config.joint_dropout).float()
+        parts = [seen.transpose(1, 2), joints * kept, kept]
         share = self.ring(torch.cat(parts, -1)).sigmoid()
         low, high = constant(_RING_M, share.device).unbind(-1)
         inner, outer, more = (low + (high - low) * share).unbind(-1)
@@ -309,9 +309,9 @@ class Perception(nn.Module):
         valid = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         valid = valid & there[..., None]
         index = (row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)).long()
-        given = marks.offsets.gather(3, index[:, :, None].expand(-1, -1, 2, -1))
+        predicted = marks.offsets.gather(3, index[:, :, None].expand(-1, -1, 2, -1))
         wanted = (place[:, :, None] - near - 0.5).transpose(2, 3)
-        miss = F.smooth_l1_loss(given, wanted, beta=0.1, reduction="none").sum(2)
+        miss = F.smooth_l1_loss(predicted, wanted, beta=0.1, reduction="none").sum(2)
         return torch.where(valid, miss, 0.0).sum() / valid.sum().clamp(min=1)
 
 

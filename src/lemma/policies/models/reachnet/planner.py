@@ -335,8 +335,8 @@ def kinds(table: SceneTable) -> Tensor:
     numbers = torch.arange(count, device=table.xy.device)
     is_cargo, is_stick = numbers < table.cargo, numbers == table.stick
     sizes = torch.stack([traits.height_m, traits.disc_m, traits.support_m], -1)
-    told = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
-    kind = torch.cat([torch.stack(told, -1).float(), sizes / _UNIT_M], -1)
+    flags = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
+    kind = torch.cat([torch.stack(flags, -1).float(), sizes / _UNIT_M], -1)
     there = table.present[..., None].float()
     level = (raised(table) / _UNIT_M)[..., None]
     heading = torch.stack([table.yaw.cos(), table.yaw.sin()], -1)
