@@ -130,7 +130,7 @@ class Canvas:
         """Fill a circle."""
         self._draw.circle(self._scaled([centre])[0], radius * self._factor, fill=color)
 
-    def ring(
+    def circle(
         self,
         centre: Point,
         radius: float,

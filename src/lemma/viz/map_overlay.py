@@ -82,9 +82,11 @@ def annotated_map(
         # A dark edge, because white would not be seen on what is pale.
         for ink, width_px in ((INK, 0.30), (ROBOT_INK[placed.color], 0.18)):
             thick = width_px * size
-            canvas.ring(centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2)
-            canvas.ring(centre, reach.travel_m * metre, ink, thick)
-            canvas.ring(centre, reach.inner_m * metre, ink, thick)
+            canvas.circle(
+                centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2
+            )
+            canvas.circle(centre, reach.travel_m * metre, ink, thick)
+            canvas.circle(centre, reach.inner_m * metre, ink, thick)
     _name_entities(canvas, instance, scene, width)
     return canvas.picture()
 
@@ -117,7 +119,7 @@ def _name_entities(
     for top, bottom in instance.goal.pairs:
         if HAND in (top, bottom):
             at = places[bottom if top == HAND else top]
-            canvas.ring(at, 1.1 * size, _GOAL_INK, 0.28 * size)
+            canvas.circle(at, 1.1 * size, _GOAL_INK, 0.28 * size)
             continue
         start, end = _shorten(places[top], places[bottom], 1.1 * size)
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)

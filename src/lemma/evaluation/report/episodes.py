@@ -204,10 +204,10 @@ def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
         yield step["explanation"]
 
 
-DEPARTURES = {
+DEVIATION_WORDS = {
     Deviation.ROBOT: "wrong robot",
     Deviation.ORDER: "too soon",
     Deviation.PRIMITIVE: "wrong primitive",
     Deviation.OBJECT: "wrong object",
 }
-"""Words for a sub-task that departs from the expert's."""
+"""Words for a sub-task that deviates from the expert's."""

@@ -159,7 +159,7 @@ class SeenPerception:
             zip(names, policy_input.robots, strict=True)
         ):
             x, y = map(_metres, now.bases[0, number].tolist())
-            inner, outer, _ = map(_metres, now.rings[0, number].tolist())
+            inner, outer, _ = map(_metres, now.radii[0, number].tolist())
             robots.append(RobotText(name, phrase, x, y, (inner, outer)))
         objects = _objects(now, names, policy_input)
         if policy_input.past:

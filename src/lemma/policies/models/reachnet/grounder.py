@@ -449,5 +449,5 @@ def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
     acts = labels.decision[:, 0] != NOBODY
     unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
-    area = seen.rings[..., 1:].square() - seen.rings[..., :1].square()
+    area = seen.radii[..., 1:].square() - seen.radii[..., :1].square()
     return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())

@@ -1,9 +1,10 @@
 """ReachNet: sees entities and reach, then plans and grounds with both. Our own policy.
 
-An eye turns the map into a small table: where things are, and between which radii each
-robot reaches. A reader turns the sentence into the pairs that shall lie on each other.
-A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on the
-entities. The last three see no pixels, and so they also learn from labels with noise.
+Perception turns the map into a small table: where things are, and between which radii
+each robot reaches. A reader turns the sentence into the pairs that shall lie on each
+other. A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on
+the entities. The last three see no pixels, and so they also learn from labels with
+noise.
 """
 
 import math
@@ -147,11 +148,11 @@ class ReachNet(MapModel):
         reading = self.reader.loss(words, tensors["goal"], tensors["reasons"])
         goal = tensors["goal"][: len(batch)]
         with torch.autocast(self.device.type, enabled=False):
-            rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
-            known = self._true_rings(labels)
-            radii = rings if known is None else known
+            seen_radii = self.eye.reach(coarse, batch, labels.bases[..., :2])
+            known = self._true_radii(labels)
+            radii = seen_radii if known is None else known
             truth = true_table(labels, radii, batch.raster, batch.entities)
-            seen = true_table(labels, rings, batch.raster, batch.entities)
+            seen = true_table(labels, seen_radii, batch.raster, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
             terms["reach"] = self._reach_loss(seen, known, labels, batch)
@@ -161,7 +162,7 @@ class ReachNet(MapModel):
                     found = self.eye.table(marks, coarse, batch)
             return terms | self._table_losses(truth, found, goal, batch)
 
-    def _true_rings(self, labels: Labels) -> Tensor | None:
+    def _true_radii(self, labels: Labels) -> Tensor | None:
         """Return the true radii, where training may know them."""
         if self.config.reach != "simulator":
             return None
@@ -180,7 +181,7 @@ class ReachNet(MapModel):
         if self.config.reach == "none":
             # Every weight has a gradient, which training on many GPUs asks for.
             unused = (self.planner.reach_sharpness, self.planner.reach_weight)
-            return 0.0 * (seen.rings.sum() + sum(unused))
+            return 0.0 * (seen.radii.sum() + sum(unused))
         if known is None:
             return demonstrated_reach(seen, labels)
         sides = constant((batch.raster.columns, batch.raster.rows), self.device)
@@ -247,9 +248,9 @@ class ReachNet(MapModel):
                 # The order of the two pairs does not matter.
                 orders = torch.stack([goal, goal.flip(1)])
                 right = (orders == read).flatten(2).all(2).any(0)
-                known = self._true_rings(labels)
-            rings = table.rings if known is None else known
-            truth = true_table(labels, rings, batch.raster, batch.entities)
+                known = self._true_radii(labels)
+            radii = table.radii if known is None else known
+            truth = true_table(labels, radii, batch.raster, batch.entities)
             return {
                 **score_decisions(
                     decision, poses, demonstrated, labels, batch.entities
