@@ -54,8 +54,8 @@ LEVELS = ("plan", "skill", "control")
 """A policy decides on sub-tasks in symbols, on sub-tasks with poses, or on motor
 commands."""
 CONTROL = LEVELS[2]
-_UNSAID = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
-"""Fields that are not told where they have these values."""
+_OMITTED = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
+"""Fields that are left out where they have these values."""
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
 Load = Callable[[str], Any]
@@ -219,7 +219,7 @@ class PolicySpec:
         # As JSON has it: what is read back must be equal.
         fields["arguments"] = dict(self.arguments)
         return {
-            name: value for name, value in fields.items() if value != _UNSAID.get(name)
+            name: value for name, value in fields.items() if value != _OMITTED.get(name)
         }
 
     def planners(self) -> list[Any]:

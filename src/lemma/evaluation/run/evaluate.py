@@ -40,8 +40,8 @@ from lemma.evaluation.run.control import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
-from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.interfaces import keeps_state
+from lemma.policies.policy_object import PolicyObjectSpec
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.suite import load_instance
@@ -174,9 +174,9 @@ def _player(config: EvaluationConfig, kind: str) -> Player:
         if last == spec and (kind == its_kind or keeps_state(player.policy)):
             return player
         playing.clear()
-        if not isinstance(last, GivenPolicy):
+        if not isinstance(last, PolicyObjectSpec):
             hang_up(player.policy)
-    if isinstance(spec, GivenPolicy) and len(config.kinds) > 1:
+    if isinstance(spec, PolicyObjectSpec) and len(config.kinds) > 1:
         spec.renew()
     player = load_player(spec)
     if parent_process() is not None and "torch" in sys.modules:

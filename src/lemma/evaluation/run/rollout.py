@@ -55,7 +55,7 @@ BLIND = View(
 
 
 @dataclass(frozen=True, slots=True)
-class TakenStep:
+class StepRecord:
     """One sub-task that a policy decided on, and how it went."""
 
     subtask: SubTask
@@ -116,7 +116,7 @@ class Rollout:
     horizon_s: float = HORIZON_S
     control: LanguageControl = OWN_SENTENCE
     """Sentence given instead of that instruction."""
-    steps: list[TakenStep] = field(default_factory=list)
+    steps: list[StepRecord] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
     efforts: list[Effort] = field(default_factory=list)
     """Effort of each decision, if the policy counts it."""
@@ -243,7 +243,7 @@ class Rollout:
         self.efforts += [fault.effort] if fault.effort else []
         self.episode.stop()
 
-    def carry_out(self, policy_input: Any, decision: Any) -> TakenStep | None:
+    def carry_out(self, policy_input: Any, decision: Any) -> StepRecord | None:
         """Carry out a decision, or end the episode for a fault; None if it is over."""
         if isinstance(decision, Fault):
             self.fail(decision)
@@ -257,7 +257,7 @@ class Rollout:
             self.fail(Fault(FaultKind.UNSTABLE, str(error)))
             return None
 
-    def take(self, policy_input: PolicyInput, decision: Decision) -> TakenStep | None:
+    def take(self, policy_input: PolicyInput, decision: Decision) -> StepRecord | None:
         """Carry out a decision; None if it was to stop.
 
         Raises:
@@ -276,7 +276,7 @@ class Rollout:
         else:
             result = episode.execute(decision.grounded)
         fell = tuple(name for name in episode.fallen if name not in lost)
-        step = TakenStep(
+        step = StepRecord(
             decision.subtask, decision.grounded, result, start, advice, fell
         )
         self.steps.append(step)
@@ -329,7 +329,7 @@ def roll_out(
     rollouts: Iterable[Rollout],
     player: Player,
     at_once: int = 8,
-    on_step: Callable[[Rollout, TakenStep], None] | None = None,
+    on_step: Callable[[Rollout, StepRecord], None] | None = None,
     *,
     lenient: bool = True,
 ) -> Iterator[Rollout]:
@@ -380,7 +380,7 @@ def roll_out(
     yield from to_the_end(stopped, strict=False)
 
 
-def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
+def subtasks_of(steps: Sequence[StepRecord]) -> list[dict[str, object]]:
     """Return steps as plain data, ready for JSON."""
     return [
         {

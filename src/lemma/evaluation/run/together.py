@@ -32,7 +32,7 @@ from lemma.evaluation.run.rollout import (
     BLIND,
     Player,
     Rollout,
-    TakenStep,
+    StepRecord,
     Verdict,
     subtasks_of,
 )
@@ -54,7 +54,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 
 @dataclass(frozen=True, slots=True)
-class TeamStep(TakenStep):
+class TeamStep(StepRecord):
     """One order that has ended."""
 
     waited_s: float = 0.0
@@ -70,7 +70,7 @@ class TeamStep(TakenStep):
 
 @dataclass(frozen=True, slots=True)
 class _OrderRecord:
-    """An order, as it was given."""
+    """An order of the policy, as lines keep it."""
 
     asked: int
     subtask: SubTask

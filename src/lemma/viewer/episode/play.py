@@ -19,7 +19,7 @@ from lemma.core.poses import Pose2
 from lemma.dataset.teleoperation import Teleoperation, nudge
 from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.control import ControlPlayer
-from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
+from lemma.evaluation.run.rollout import Player, Rollout, StepRecord, roll_out
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.interfaces import Decision, Insight
 from lemma.scene.objects.entity import entity_named
@@ -391,7 +391,7 @@ class Play:
         before = (each for each in reversed(self.explanations) if each.time_s <= now_s)
         return next(before, NOTHING)
 
-    def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
+    def _stepped(self, rollout: Rollout, step: StepRecord) -> None:
         self._log.end()
         assert self.watch is not None
         now_s = rollout.episode.elapsed_s

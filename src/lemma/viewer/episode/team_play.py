@@ -67,7 +67,7 @@ class TeamPlay(Play):
 
     @property
     def visitor_led(self) -> frozenset[str]:
-        """Names of the robots that visitors have taken."""
+        """Names of the robots that visitors lead."""
         return self._visitor_led
 
     @property
