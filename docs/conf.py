@@ -42,5 +42,5 @@ def read_docstring(
     Not of attributes: what stands before a colon there is no type.
     """
     if what not in ("attribute", "property", "data"):
-        given = (app, what, name, found, options)
-        lines[:] = GoogleDocstring(lines, Config(), *given).lines()
+        context = (app, what, name, found, options)
+        lines[:] = GoogleDocstring(lines, Config(), *context).lines()

@@ -41,7 +41,7 @@ class WhoIsNext(Model):
         """Make the layers."""
         super().__init__()
         self.config = config
-        self.eye = nn.Sequential(
+        self.encoder = nn.Sequential(
             *(nn.Conv2d(4, config.width, 5, stride=2, padding=2), nn.ReLU()),
             *(nn.Conv2d(config.width, config.width, 5, stride=2, padding=2), nn.ReLU()),
             *(nn.AdaptiveMaxPool2d(4), nn.Flatten()),
@@ -53,7 +53,7 @@ class WhoIsNext(Model):
         """Return a score for each robot, (B, 2)."""
         colors = batch.rgb.permute(0, 3, 1, 2).float() / 255.0
         map_ = torch.cat([colors, batch.height_m[:, None] / 0.1], 1)
-        seen = self.eye(F.avg_pool2d(map_, 8))
+        seen = self.encoder(F.avg_pool2d(map_, 8))
         acted = [(batch.past[:, :, 0] == robot).sum(1) for robot in (0, 1)]
         scores: Tensor = self.choice(torch.cat([seen, torch.stack(acted, 1)], 1))
         return scores

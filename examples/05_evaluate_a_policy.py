@@ -22,18 +22,18 @@ class TriesEachRobot:
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode."""
-        return [self.next(given) for given in inputs]
+        return [self.next(policy_input) for policy_input in inputs]
 
-    def next(self, given: PolicyInput) -> SubTask:
+    def next(self, policy_input: PolicyInput) -> SubTask:
         """Return the next sub-task of one episode."""
-        goal = parse(given.instruction)
-        done = [step for step in given.past if step.outcome == "success"]
+        goal = parse(policy_input.instruction)
+        done = [step for step in policy_input.past if step.outcome == "success"]
         if goal is None or len(done) == 2:
             return STOP
         [(cube, pad)] = goal
         # After each sub-task, whether it succeeded or not, it is the other's turn.
         robot = "robot_0"
-        if given.past and given.past[-1].subtask.robot == "robot_0":
+        if policy_input.past and policy_input.past[-1].subtask.robot == "robot_0":
             robot = "robot_1"
         return SubTask(robot, Primitive.MOVE, cube, pad if done else "shared")
 

@@ -33,16 +33,16 @@ class ByColor:
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the next decision of each episode."""
-        return [self.decide(given) for given in inputs]
+        return [self.decide(policy_input) for policy_input in inputs]
 
-    def decide(self, given: PolicyInput) -> Decision:
+    def decide(self, policy_input: PolicyInput) -> Decision:
         """Return the next decision of one episode; its past says what was done."""
-        goal = parse(given.instruction)
-        if goal is None or len(given.past) == 2:
+        goal = parse(policy_input.instruction)
+        if goal is None or len(policy_input.past) == 2:
             return Decision(STOP, None)
         [(top, bottom)] = sorted(goal)[:1]
-        entity = top if given.past else bottom
-        pick = find(given.view, entity.partition("_")[0])
+        entity = top if policy_input.past else bottom
+        pick = find(policy_input.view, entity.partition("_")[0])
         if pick is None:
             return Decision(STOP, None)
         # The first robot stands at -x.

@@ -110,8 +110,8 @@ def weights(model: PPO) -> dict[str, torch.Tensor]:
 
 if __name__ == "__main__":
     defaults = ("lift_varied", "130000", "60", "", "")
-    given = sys.argv[1:]
-    task, steps, episodes, curve, path = (*given, *defaults[len(given) :])
+    arguments = sys.argv[1:]
+    task, steps, episodes, curve, path = (*arguments, *defaults[len(arguments) :])
     torch.set_num_threads(1)
     near = 0.0 if task.startswith("reach") else NEAR_AT_FIRST
     one = partial(HandEnv, task, horizon_s=HORIZON_S, near=near)

@@ -101,19 +101,19 @@ class Plan:
 
     def run(self, name: str, seed: int) -> Path:
         """Return the folder of a training, in which ``lemma reproduce`` finds it."""
-        told = "" if self.observation == OBSERVATIONS[0] else f"-{self.observation}"
-        return self.out / f"seed-{seed}" / f"{name}{told}"
+        suffix = "" if self.observation == OBSERVATIONS[0] else f"-{self.observation}"
+        return self.out / f"seed-{seed}" / f"{name}{suffix}"
 
     def data_commands(self) -> list[str]:
         """Return what makes the training data."""
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
-        told = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
+        state = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
         seen = f"--cameras {self.cameras} " if self.cameras else ""
         return [
             f"lemma generate --tasks {self.tasks} --split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
             f"python {TRAINER} film {self.recipe} {self.film} --tasks {self.tasks} "
-            f"--size {self.size} {seen}--fps {self.fps} --environment-state {told} "
+            f"--size {self.size} {seen}--fps {self.fps} --environment-state {state} "
             f"--workers {self.workers}",
         ]
 
@@ -199,8 +199,8 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
     missing = [run for run in runs if not plan.trained(run)]
     for number, run in enumerate(missing if "train" in phases else ()):
         rmtree(plan.run(*run), ignore_errors=True)
-        command, told = plan.training(*run), plan.run(*run).with_suffix(".log")
-        going[command] = start(command, told, number % gpus if gpus else None)
+        command, log = plan.training(*run), plan.run(*run).with_suffix(".log")
+        going[command] = start(command, log, number % gpus if gpus else None)
     playing, played, failed = "", set(), []
     try:
         while time.monotonic() - begin < stop_s:

@@ -120,11 +120,11 @@ def film(
     shards = LeRobotConfig(source=source, style=style).shards()
     check_source(recipe, list(dict.fromkeys(one.path for one in shards)), style)
     made_of = {"recipe": sha256_of(recipe / MANIFEST), "split": split, "tasks": tasks}
-    told = json.dumps({**asdict(style), **made_of})
+    description = json.dumps({**asdict(style), **made_of})
     about = folder / ABOUT
-    if about.exists() and about.read_text() != told:
+    if about.exists() and about.read_text() != description:
         raise SystemExit(f"{folder} holds another film. Choose another folder.")
-    about.write_text(told)
+    about.write_text(description)
     gpus = [name for name in visible_gpus() if name.isdigit()]
     jobs = [(shard, style, folder, gpus) for shard in shards]
     begin, count = time.monotonic(), 0
@@ -200,16 +200,16 @@ class Film:
         for name, rows in self.vectors.items():
             found[name] = _statistics(rows, 0)
         if not poses:
-            told = found[OBS_STATE]
-            hidden = torch.ones_like(told["mean"], dtype=torch.bool)
+            state = found[OBS_STATE]
+            hidden = torch.ones_like(state["mean"], dtype=torch.bool)
             hidden.reshape(ROBOTS, -1)[:, -1] = False
             for key, value in _HIDDEN.items():
-                told[key][hidden] = value
+                state[key][hidden] = value
         for name, rows in self.images.items():
             every = max(1, len(rows) // STATISTICS_OF)
             some = rows[::every].float() / 255.0
-            told = _statistics(some, (0, 1, 2))
-            found[name] = {key: value[:, None, None] for key, value in told.items()}
+            image = _statistics(some, (0, 1, 2))
+            found[name] = {key: value[:, None, None] for key, value in image.items()}
         return found
 
     def begins(self) -> torch.Tensor:

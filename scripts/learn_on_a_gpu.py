@@ -114,8 +114,8 @@ class Learner:
 
 if __name__ == "__main__":
     defaults = ("reach_varied", "3", "4096", "hand.pt")
-    given = sys.argv[1:]
-    task, minutes, worlds, path = (*given, *defaults[len(given) :])
+    arguments = sys.argv[1:]
+    task, minutes, worlds, path = (*arguments, *defaults[len(arguments) :])
     rung = task.split("_")[0]
     first = 0.0 if rung == "reach" else NEAR_AT_FIRST
     env = GpuVecEnv(

@@ -51,8 +51,8 @@ def train(
 
 if __name__ == "__main__":
     defaults = ("reach_varied", "100", "4096", "out/rsl_rl")
-    given = sys.argv[1:]
-    task, iterations, worlds, folder = (*given, *defaults[len(given) :])
+    arguments = sys.argv[1:]
+    task, iterations, worlds, folder = (*arguments, *defaults[len(arguments) :])
     played = train(task, int(iterations), int(worlds), folder, horizon_s=8.0)
     potential = float(played.env.potential.mean())
     print(f"{task}: mean potential {potential:.2f} after {iterations} iterations")

@@ -122,8 +122,8 @@ def train(task: str, steps: int, worlds: int, **options: Any) -> RobotsEnv:
 
 if __name__ == "__main__":
     defaults = ("reach_varied", "2400", "4096")
-    given = sys.argv[1:]
-    task, steps, worlds = (*given, *defaults[len(given) :])
+    arguments = sys.argv[1:]
+    task, steps, worlds = (*arguments, *defaults[len(arguments) :])
     played = train(task, int(steps), int(worlds), horizon_s=8.0)
     potential = float(played.env.potential.mean())
     print(f"{task}: mean potential {potential:.2f} after {steps} steps")

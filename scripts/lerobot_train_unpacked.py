@@ -33,7 +33,7 @@ from lemma.dataset.lerobot.export import INFO
 FORK = "fork"
 """Processes that load samples share what this one has in memory."""
 _SUFFIX = ".npy"
-_TAKEN = "_reads_unpacked"
+_MARK = "_reads_unpacked"
 _VIDEOS = "videos"
 
 
@@ -85,7 +85,7 @@ def read_unpacked(folder: Path) -> None:
     """
     module = import_module("lerobot.datasets.lerobot_dataset")
     kind = module.DatasetReader
-    if not hasattr(kind, _TAKEN):
+    if not hasattr(kind, _MARK):
         vars(module)["DatasetReader"] = unpacked(kind, folder)
 
 

@@ -181,5 +181,5 @@ def _above(rgb: NDArray[np.uint8], strip: Image.Image) -> Image.Image:
 
 
 if __name__ == "__main__":
-    _, *given = sys.argv
-    main(Path(given[0] if given else "docs/images"), given[1:])
+    _, *arguments = sys.argv
+    main(Path(arguments[0] if arguments else "docs/images"), arguments[1:])

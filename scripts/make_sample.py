@@ -48,7 +48,7 @@ def main() -> None:
         )
         played = evaluate(config, Serial())
     sample["control"] = [
-        {name: told for name, told in played[0].items() if name not in WALL_CLOCK}
+        {name: value for name, value in played[0].items() if name not in WALL_CLOCK}
     ]
     FILE.write_text(json.dumps(sample, indent=1) + "\n", "utf-8")
 

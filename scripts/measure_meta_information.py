@@ -89,13 +89,13 @@ def main() -> None:
     """Print both shares for every task."""
     splits = sys.argv[1].split(",") if len(sys.argv) > 1 else tuple(SPLITS)
     listed = {task: instances(task, splits) for task in SUITE}
-    told = {task: [meta_information(i) for i in listed[task]] for task in SUITE}
+    features = {task: [meta_information(i) for i in listed[task]] for task in SUITE}
     for task in SUITE:
-        share = share_right(told[task], [first_robot(i) for i in listed[task]])
+        share = share_right(features[task], [first_robot(i) for i in listed[task]])
         print(f"{task}: who acts first, {share:.1%} right (1/2 by chance)", flush=True)
     for tasks in SAME_SENTENCE:
         labels = [tasks.index(task) for task in tasks for _ in listed[task]]
-        share = share_right([row for task in tasks for row in told[task]], labels)
+        share = share_right([row for task in tasks for row in features[task]], labels)
         print(f"{', '.join(tasks)}: which task, {share:.1%} right (1/3 by chance)")
 
 

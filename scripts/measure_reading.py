@@ -166,8 +166,8 @@ def voices() -> list[Asked]:
     """Return the sentences of the voices, each with its voice."""
     return [
         (f"{voice} {family}", Template.from_string(text, FAMILIES[family]))
-        for voice, told in tomllib.loads(VOICES.read_text(encoding="utf-8")).items()
-        for family, texts in told.items()
+        for voice, families in tomllib.loads(VOICES.read_text(encoding="utf-8")).items()
+        for family, texts in families.items()
         for text in texts
     ]
 

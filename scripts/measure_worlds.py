@@ -51,8 +51,8 @@ class Played:
         self.commands.append(data.ctrl.copy())
         if len(self.commands) % EVERY == 0:
             robots = self.episode.instance.scene.robot_names
-            told = goal_potential(self.episode), goal_state(self.episode, robots)
-            self.states.append((data.qpos.copy(), data.qvel.copy(), *told))
+            goal = goal_potential(self.episode), goal_state(self.episode, robots)
+            self.states.append((data.qpos.copy(), data.qvel.copy(), *goal))
 
 
 def play(instance: Any) -> Played:
@@ -192,6 +192,7 @@ def compare_states(env: GpuVecEnv, slots: Slots, played: Played) -> dict[str, An
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    for each in given[1:] or TASKS:
-        print(json.dumps(agreement(each, int(given[0]) if given else 1024)), flush=True)
+    arguments = sys.argv[1:]
+    worlds = int(arguments[0]) if arguments else 1024
+    for each in arguments[1:] or TASKS:
+        print(json.dumps(agreement(each, worlds)), flush=True)

@@ -293,11 +293,11 @@ def compare(found: Path, wanted: Path) -> list[str]:
     largest_mm = 0.0
     for key, line in now.items():
         there = before[key]
-        told, said = (
+        steps, other_steps = (
             [{s: step[s] for s in _SYMBOLS} for step in one["subtasks"]]
             for one in (line, there)
         )
-        if told != said or line["success"] != there["success"]:
+        if steps != other_steps or line["success"] != there["success"]:
             problems.append(f"{key}: other sub-tasks, or another end")
             continue
         for step, other in zip(line["subtasks"], there["subtasks"], strict=True):

@@ -148,8 +148,8 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
         training_table(trainings),
         ROWS,
     )
-    told = [*sections(every, "[](../evaluation.md)"), curves, trained]
-    found = [section for section in told if section.table.rows]
+    listed = [*sections(every, "[](../evaluation.md)"), curves, trained]
+    found = [section for section in listed if section.table.rows]
     played = _headliners(every)
     written = {PAGE: _front(every, played, found, curved=bool(trainings))}
     for topic in TOPICS:
@@ -265,9 +265,9 @@ def headline(results: Path = RESULTS) -> str:
     played = _headliners(entries(results))
     if not played:
         return NOTHING
-    told = protocol_words(played, f"[{HOW}](docs/results/rows.md)")
+    words = protocol_words(played, f"[{HOW}](docs/results/rows.md)")
     table = at_a_glance(played).markdown()
-    return f"{f'{told} {sample_words(played)}'.strip()}\n\n{table}"
+    return f"{f'{words} {sample_words(played)}'.strip()}\n\n{table}"
 
 
 def readme(results: Path = RESULTS) -> str:

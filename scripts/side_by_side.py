@@ -18,8 +18,8 @@ def visible_gpus() -> list[str]:
     A job of a cluster may use some of a machine: their names do not begin with 0 then.
     """
     count = torch.cuda.device_count()
-    told = os.environ.get(VISIBLE)
-    names = told.split(",") if told else [str(number) for number in range(count)]
+    visible = os.environ.get(VISIBLE)
+    names = visible.split(",") if visible else [str(number) for number in range(count)]
     return [name.strip() for name in names[:count]]
 
 
@@ -37,10 +37,10 @@ def start(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[
     program, *words = command.split()
     gpus = visible_gpus()
     seen = "" if gpu is None or not gpus else gpus[gpu]
-    with log.open("ab") as told:
+    with log.open("ab") as output:
         return subprocess.Popen(
             [str(Path(sys.executable).with_name(program)), *words],
-            stdout=told,
+            stdout=output,
             stderr=subprocess.STDOUT,
             env={**os.environ, VISIBLE: seen},
         )

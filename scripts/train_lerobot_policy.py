@@ -90,8 +90,8 @@ def make_policy(
     policy = get_policy_class(name)(config).to(device)
     if device != "cpu":
         policy = policy.to(memory_format=torch.channels_last)
-    told = seen.statistics(poses=state == FULL)
-    before, after = make_pre_post_processors(config, dataset_stats=told)
+    statistics = seen.statistics(poses=state == FULL)
+    before, after = make_pre_post_processors(config, dataset_stats=statistics)
     return policy, before, after
 
 
@@ -198,7 +198,7 @@ def train(asked: argparse.Namespace) -> None:
     learn = make_step(policy, rate)
     if device == "cuda" and not asked.no_graph:
         learn = captured(learn, before(next(batches)))
-    begin = told = time.monotonic()
+    begin = reported = time.monotonic()
     step, saved, total = 0, 0, torch.zeros((), device=device)
     done = 0.0
     while done < 1.0:
@@ -211,11 +211,11 @@ def train(asked: argparse.Namespace) -> None:
         if step % asked.tell == 0:
             print(
                 f"step {step}, {now - begin:.0f} s, {step * asked.batch} samples, "
-                f"{asked.tell * asked.batch / (now - told):.0f} a second, "
+                f"{asked.tell * asked.batch / (now - reported):.0f} a second, "
                 f"loss {total.item() / asked.tell:.4f}",
                 flush=True,
             )
-            told, total = now, torch.zeros((), device=device)
+            reported, total = now, torch.zeros((), device=device)
         if (reached := min(int(done * asked.points), asked.points)) > saved:
             saved = reached
             save(asked.out, made, asked, step, min(done, 1.0))

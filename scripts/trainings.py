@@ -67,21 +67,21 @@ def training_from(report: Mapping[str, object], name: str) -> Training:
         report: The contents of ``report.json``.
         name: Name of the weights.
     """
-    told = msgspec.convert(report, _Report)
-    selection = MODELS[told.model][0].selection
-    seed = told.command.partition("--seed ")[2].split()
+    parsed = msgspec.convert(report, _Report)
+    selection = MODELS[parsed.model][0].selection
+    seed = parsed.command.partition("--seed ")[2].split()
     return Training(
         name=name,
         seed=int(seed[0]) if seed else 0,
-        samples=told.samples,
-        seconds=round(told.seconds, 1),
-        samples_per_s=round(told.samples_per_s, 1),
-        gpu_memory_gb=round(told.gpu_memory_gb, 1),
-        device=told.device,
-        status=told.status,
+        samples=parsed.samples,
+        seconds=round(parsed.seconds, 1),
+        samples_per_s=round(parsed.samples_per_s, 1),
+        gpu_memory_gb=round(parsed.gpu_memory_gb, 1),
+        device=parsed.device,
+        status=parsed.status,
         selection=selection,
-        curve=tuple(round(one[selection], 4) for one in told.history),
-        command=told.command,
+        curve=tuple(round(one[selection], 4) for one in parsed.history),
+        command=parsed.command,
     )
 
 

@@ -52,7 +52,7 @@ def data_of(page: FailurePage) -> Any:
 
 
 def told_at(page: FailurePage, path: str) -> Any:
-    (told,) = data_in(page, path, "told")
+    (told,) = data_in(page, path, "episodes")
     return told
 
 

@@ -213,7 +213,7 @@ def test_table_is_saved_and_opened_again(page: Page) -> None:
     top = load_instance("stack", "test", 0).goal.pairs[0][0]
     page.panel.table.drop(top, Pose2(0.1, 0.7))
     until_phase(page, Phase.READY)
-    assert "problem" in page.panel.table.told.content
+    assert "problem" in page.panel.table.text.content
     visitor = Client()
     page.panel.table.download(visitor)
     ((name, content),) = visitor.files.items()

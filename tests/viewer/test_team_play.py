@@ -85,7 +85,7 @@ def test_robot_is_taken_ordered_and_handed_back_while_others_move(
     busy = [line for line in play.status.lines if line.end_s is None]
     assert len(busy) > 1
     play.give_back(robot)
-    assert robot not in play.taken
+    assert robot not in play.visitor_led
     until(lambda: play.wait(0.0), play)
     assert play.status.phase is Phase.SOLVED
 

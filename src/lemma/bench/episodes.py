@@ -123,11 +123,11 @@ def _play(
     play, times = Rollout(instance), []
     while not play.episode.is_over:
         start = time.perf_counter()
-        given = play.policy_input(player.rig, player.policy)
+        policy_input = play.policy_input(player.rig, player.policy)
         seen = time.perf_counter()
-        (decision,) = player.policy.act([given])
+        (decision,) = player.policy.act([policy_input])
         times.append((seen - start, time.perf_counter() - seen))
-        play.take(given, decision)
+        play.take(policy_input, decision)
     return play, times
 
 

@@ -104,8 +104,8 @@ def _decisions() -> tuple[bool, str]:
     rows = published_sample()[NETWORK]
     for row in rows:
         again = play_again(row, start_of(row), {"horizon_s": 100.0})
-        for told in differences(row, again):
-            return False, f"{'/'.join(map(str, key_of(row)))}: {told}"
+        for difference in differences(row, again):
+            return False, f"{'/'.join(map(str, key_of(row)))}: {difference}"
     return True, f"{len(rows)} episodes, equal to the published lines to the bit"
 
 
@@ -114,8 +114,8 @@ def _expert(spec: PolicySpec) -> tuple[bool, str]:
     lines = published_sample()[spec.level or spec.name]
     pairs = [(line, _played(spec, line)) for line in lines]
     found = [one for line, now in pairs for one in differences(line, now)]
-    told = f"{len(pairs)} episodes, equal to the published lines to the bit"
-    return bool(pairs) and not found, found[0] if found else told
+    summary = f"{len(pairs)} episodes, equal to the published lines to the bit"
+    return bool(pairs) and not found, found[0] if found else summary
 
 
 def _network() -> tuple[bool, str]:
@@ -127,9 +127,11 @@ def _network() -> tuple[bool, str]:
     player = load_player(PolicySpec(NETWORK))
     pairs = [(line, _asked(player, line)) for line in published_sample()[NETWORK]]
     agreement = compared(pairs)
-    told = f"the decisions of {agreement.episodes} episodes, as published; poses within"
+    summary = (
+        f"the decisions of {agreement.episodes} episodes, as published; poses within"
+    )
     if agreement.ok:
-        return True, f"{told} {1e3 * agreement.farthest_m:.2f} mm"
+        return True, f"{summary} {1e3 * agreement.farthest_m:.2f} mm"
     return False, "; ".join(agreement.differing)
 
 
@@ -138,11 +140,11 @@ def _asked(player: Player, line: Row) -> Row:
     rollout = player.begin(start_of(line), line["instruction_kind"])
     found = []
     for step in line["subtasks"]:
-        given = player.policy_input(rollout)
-        (now,) = player.policy.act([given])
+        policy_input = player.policy_input(rollout)
+        (now,) = player.policy.act([policy_input])
         poses = now.grounded.to_dict() if now.grounded else None
         found.append({**step, **now.subtask.to_dict(), "grounded": poses})
-        rollout.carry_out(given, decision_of(step))
+        rollout.carry_out(policy_input, decision_of(step))
     return {**line, "subtasks": found}
 
 

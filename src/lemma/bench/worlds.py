@@ -152,8 +152,8 @@ def _compare(
         for one, value in zip(memory, before, strict=True):
             one.copy_(value)
         with torch.no_grad():
-            told = work() or {}
-        flat = {**told, **told.get("observation", {})}
+            outputs = work() or {}
+        flat = {**outputs, **outputs.get("observation", {})}
         end = {key: flat[key].clone() for key in flat if key not in _NESTED}
         end |= {f"{name} {i}": one.clone() for i, one in enumerate(memory)}
         ends.append(end)

@@ -178,10 +178,10 @@ def bench(
     found = _measure(names, each, policy, training, data)
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
-        told: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
+        report: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
         if policy is None and training is None:
-            told["expert"] = {task: _rounded(of) for task, of in experts.items()}
-        print_json({"machine": machine, **told})
+            report["expert"] = {task: _rounded(of) for task, of in experts.items()}
+        print_json({"machine": machine, **report})
         return 0
     _print_machine(machine)
     for name, figures in found.items():
@@ -211,11 +211,11 @@ def _print_machine(machine: Mapping[str, object]) -> None:
     output().print(", ".join(f"{key} {value}" for key, value in machine.items()))
 
 
-def _print_group(name: str, figures: Figures, **told: object) -> None:
+def _print_group(name: str, figures: Figures, **fields: object) -> None:
     title, targets = _GROUPS[name]
     # Of training on a CPU there are fewer figures.
     measured = {n: form for n, form in targets.items() if n in figures}
-    print_figures(figures, measured, title.format(**told))
+    print_figures(figures, measured, title.format(**fields))
 
 
 def _check_options(
@@ -275,8 +275,8 @@ def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int
         instances = [load_instance(name, _SPLIT, i) for i in range(episodes)]
         found[name] = measure_together(instances)
     if as_json:
-        told = {name: _rounded(figures) for name, figures in found.items()}
-        print_json({"machine": describe_machine(), "together": told})
+        rounded = {name: _rounded(figures) for name, figures in found.items()}
+        print_json({"machine": describe_machine(), "together": rounded})
         return 0
     for name, figures in found.items():
         title = f"{name}, first {episodes} of split {_SPLIT!r}"

@@ -153,8 +153,8 @@ def evaluate(
     complain_of(rows)
     teams = result.teams
     if as_json:
-        told = {"teams": [asdict(each) for each in teams]} if teams else {}
-        print_json(_rates(result.cells, config.kinds) | told)
+        team_fields = {"teams": [asdict(each) for each in teams]} if teams else {}
+        print_json(_rates(result.cells, config.kinds) | team_fields)
     else:
         output().print(rates(result.cells).terminal())
         if teams:
@@ -212,23 +212,23 @@ def _config(
 
 def effort_lines(result: "Result") -> list[str]:
     """Return what a language model was asked, and how it chose robots, in words."""
-    told = result.planning
-    if not told:
+    planning = result.planning
+    if not planning:
         return []
     invalid: Counter[str] = Counter()
-    for each in told:
+    for each in planning:
         invalid.update(each.invalid)
     kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(invalid.items()))
     able = sum(each.able for each in result.coordination)
     doable = sum(each.doable for each in result.coordination)
     return [
-        f"{sum(each.decisions for each in told)} decisions, "
-        f"{sum(each.calls for each in told)} calls, "
-        f"{sum(each.prompt_tokens for each in told):,} tokens of prompts, "
-        f"{sum(each.completion_tokens for each in told):,} of answers",
+        f"{sum(each.decisions for each in planning)} decisions, "
+        f"{sum(each.calls for each in planning)} calls, "
+        f"{sum(each.prompt_tokens for each in planning):,} tokens of prompts, "
+        f"{sum(each.completion_tokens for each in planning):,} of answers",
         f"{invalid.total()} invalid answers{f' ({kinds})' if kinds else ''}, "
-        f"{sum(each.replans for each in told)} replans, {able} of {doable} sub-tasks "
-        "for a robot that can do them",
+        f"{sum(each.replans for each in planning)} replans, {able} of {doable} "
+        "sub-tasks for a robot that can do them",
     ]
 
 

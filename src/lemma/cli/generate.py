@@ -99,8 +99,8 @@ def generate(
     recovery = recovery_figures(load(out)) if order.perturb else None
     others = None if recovery else differing(out)
     if as_json:
-        told = {"recovery": asdict(recovery)} if recovery else {"differing": others}
-        print_json({**found, **told})
+        details = {"recovery": asdict(recovery)} if recovery else {"differing": others}
+        print_json({**found, **details})
         return 0
     shown = _FORMS if found["made"] else {n: _FORMS[n] for n in _IF_NOTHING_WAS_MADE}
     print_figures(found, shown, str(out))

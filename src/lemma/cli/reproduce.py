@@ -105,8 +105,8 @@ def _check(
             failed += 1
             continue
         failed += not found.ok
-        for told in found.differing:
-            output().print(f"{name} {told}", soft_wrap=True, markup=False)
+        for difference in found.differing:
+            output().print(f"{name} {difference}", soft_wrap=True, markup=False)
         output().print(
             f"{name}: {found.episodes - len(found.differing)} of {found.episodes} "
             "episodes are equal to the published lines; poses within "

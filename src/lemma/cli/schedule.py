@@ -83,10 +83,10 @@ def write_export(instance: Instance, folder: Path) -> tuple[Path, ...]:
         Simulation(instance.scene).scene,
         GeometricGrounder(instance.scene),
     )
-    told = to_pddl(name, SymbolicState.observe(scene), instance.goal, grounder)
+    pddl = to_pddl(name, SymbolicState.observe(scene), instance.goal, grounder)
     texts = {
-        "domain.pddl": told.domain,
-        "problem.pddl": told.problem,
+        "domain.pddl": pddl.domain,
+        "problem.pddl": pddl.problem,
         "instance.json": instance.to_json(),
     }
     for file, text in texts.items():

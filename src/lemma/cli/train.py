@@ -56,18 +56,19 @@ def train(
 
 
 def _print(config: TrainingConfig, report: object) -> None:
-    told = vars(report)
-    kinds = told["scores_by_kind"]
+    fields = vars(report)
+    kinds = fields["scores_by_kind"]
     rows = [
-        (name, *(f"{of[name]:.4f}" for of in (told["scores"], *kinds.values())))
-        for name in told["scores"]
+        (name, *(f"{of[name]:.4f}" for of in (fields["scores"], *kinds.values())))
+        for name in fields["scores"]
     ]
     header = ("score", "best weights", *(kind.replace("_", " ") for kind in kinds))
     print_table(header, rows)
     output().print(
-        f"{config.out / 'weights.safetensors'}: {told['parameters']:,} weights from "
-        f"step {told['best_step']} of {told['steps']}, in {told['seconds']:.0f} s of "
-        f"training ({told['samples_per_s']:.0f} frames/s on {told['device']}, which "
-        f"waited for input {told['input_wait']:.1%} of the time).",
+        f"{config.out / 'weights.safetensors'}: {fields['parameters']:,} weights "
+        f"from step {fields['best_step']} of {fields['steps']}, in "
+        f"{fields['seconds']:.0f} s of training "
+        f"({fields['samples_per_s']:.0f} frames/s on {fields['device']}, which waited "
+        f"for input {fields['input_wait']:.1%} of the time).",
         soft_wrap=True,
     )

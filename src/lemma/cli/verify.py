@@ -53,14 +53,14 @@ def verify(
         print_json({"results": [one.to_dict() for one in found]})
         return int(not all(one.ok for one in found))
     for one in found:
-        told = Text("stands" if one.ok else "REFUSED", "green" if one.ok else "red")
-        told.append(f"  {one.lines}", "default")
+        text = Text("stands" if one.ok else "REFUSED", "green" if one.ok else "red")
+        text.append(f"  {one.lines}", "default")
         if one.played:
             extent = "the whole test split" if one.complete else "no whole test split"
-            told.append(f": {one.played:,} of its {one.episodes:,} episodes ({extent})")
+            text.append(f": {one.played:,} of its {one.episodes:,} episodes ({extent})")
         if one.knows_truth:
-            told.append(", with a policy that knows the truth")
+            text.append(", with a policy that knows the truth")
         for problem in one.problems:
-            told.append(f"\n  {problem}")
-        output().print(told, soft_wrap=True)
+            text.append(f"\n  {problem}")
+        output().print(text, soft_wrap=True)
     return int(not all(one.ok for one in found))

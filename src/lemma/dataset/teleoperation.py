@@ -142,7 +142,7 @@ class Teleoperation:
             for part in self.parts
             if isinstance(part, Commanded)
         ]
-        told: _Data = {
+        recording: _Data = {
             "instruction": self.instruction,
             "executed": [part for part in self.parts if isinstance(part, Executed)],
             "commanded": commanded,
@@ -150,7 +150,7 @@ class Teleoperation:
             "end_s": self.end_s,
             "end_sha256": self.end_sha256,
         }
-        data = {**self.instance.to_dict(), KEY: msgspec.to_builtins(told)}
+        data = {**self.instance.to_dict(), KEY: msgspec.to_builtins(recording)}
         return json.dumps(data) + "\n"
 
     @classmethod

@@ -20,8 +20,8 @@ from lemma.evaluation.run.config import (
 )
 from lemma.evaluation.run.evaluate import evaluate as play
 from lemma.policies.control.interfaces import has_options
-from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.planners.registry import is_planner
+from lemma.policies.policy_object import PolicyObjectSpec
 from lemma.policies.spec import (
     CONTROL,
     LEVELS,
@@ -62,15 +62,15 @@ class Evaluation:
 
         Where robots act together, what they do with their time as well.
         """
-        told = rates(self.result.cells).markdown()
+        text = rates(self.result.cells).markdown()
         teams = self.result.teams
-        told += f"\n{team_table(teams).markdown()}" if teams else ""
+        text += f"\n{team_table(teams).markdown()}" if teams else ""
         if self.errors:
-            told += (
+            text += (
                 f"\n{len(self.errors)} of {len(self.rows)} episodes failed because the "
                 f"policy did. The first: {self.errors[0]}\n"
             )
-        return told
+        return text
 
 
 def evaluate(  # noqa: PLR0913 - by name, most have a default
@@ -143,9 +143,9 @@ def _evaluated(
     return Evaluation(result, tuple(rows))
 
 
-def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
     """Return one name, or several, as several."""
-    return (given,) if isinstance(given, str) else tuple(given)
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
@@ -154,7 +154,7 @@ def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
     Raises:
         InvalidConfigError: An object plays into a folder that holds a result.
     """
-    if out is None or not isinstance(spec, GivenPolicy):
+    if out is None or not isinstance(spec, PolicyObjectSpec):
         return
     if (Path(out) / ABOUT).exists():
         raise InvalidConfigError(
@@ -196,7 +196,7 @@ def _policy(
     controls = level == CONTROL or (not level and has_options(policy))
     acting = ways["acting"] or acting_by_default(tasks, controls=controls)
     ways = {**ways, "acting": acting}
-    return GivenPolicy.of(policy, level, planning, gta=gta, **ways), Serial()
+    return PolicyObjectSpec.of(policy, level, planning, gta=gta, **ways), Serial()
 
 
 def named_at(policy: str, level: str) -> str:

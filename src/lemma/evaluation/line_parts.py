@@ -31,15 +31,15 @@ class Poses(Strict):
     place: tuple[float, float, float]
 
 
-class GivenOrder(Symbols, kw_only=True):
-    """An order of a team policy, as it was given."""
+class OrderRecord(Symbols, kw_only=True):
+    """An order of a team policy."""
 
     asked: int
     """How often the policy had been asked before."""
     poses: Poses | None
 
 
-class SaidMessage(Strict):
+class MessageRecord(Strict):
     """A message of a robot."""
 
     robot: str
@@ -57,9 +57,9 @@ class Together(Strict):
     """Whether the expert grounded the orders when they began."""
     asked: int
     """How often the policy was asked, in all."""
-    orders: Annotated[list[GivenOrder], Meta(max_length=2000)]
+    orders: Annotated[list[OrderRecord], Meta(max_length=2000)]
     """All of the lenient episode, in the order in which they were given."""
-    messages: Annotated[list[SaidMessage], Meta(max_length=20_000)]
+    messages: Annotated[list[MessageRecord], Meta(max_length=20_000)]
     makespan_s: float
     oracle_s: float | None
     """Time of the executed oracle; None for instances without one."""

@@ -278,13 +278,13 @@ def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
     Raises:
         DatasetError: Its parts were trained with different seeds.
     """
-    known = {name: told["seed"] for name, told in weights.items() if "seed" in told}
+    known = {name: entry["seed"] for name, entry in weights.items() if "seed" in entry}
     seeds = set(known.values())
     if len(seeds) > 1:
-        told = ", ".join(f"{name}: {seed}" for name, seed in known.items())
+        listing = ", ".join(f"{name}: {seed}" for name, seed in known.items())
         raise DatasetError(
-            f"The parts of the policy were trained with different seeds ({told}), so "
-            "its result belongs to none of them. Take parts of the same seed."
+            f"The parts of the policy were trained with different seeds ({listing}), "
+            "so its result belongs to none of them. Take parts of the same seed."
         )
     return int(seeds.pop()) if seeds else 0
 

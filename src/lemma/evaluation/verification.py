@@ -69,8 +69,10 @@ class Verification:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, ready for JSON."""
-        told = {name: value for name, value in asdict(self).items() if name != "digest"}
-        return {**told, "lines": str(self.lines), "ok": self.ok}
+        fields = {
+            name: value for name, value in asdict(self).items() if name != "digest"
+        }
+        return {**fields, "lines": str(self.lines), "ok": self.ok}
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class Claim:
         together = about["policy"].get("acting") == TOGETHER
         knows = bool(about.get("oracle"))
         for row in self.rows:
-            odd = [name for name, told in own.items() if row[name] != told]
+            odd = [name for name, value in own.items() if row[name] != value]
             commands = row.get("control") is not None
             team = row.get("together")
             if odd:
@@ -203,8 +205,8 @@ def _says_oracle(policy: Mapping[str, Any]) -> bool:
     name = policy["name"]
     alone = "+" not in name and "://" not in name and is_planner(name)
     parts = parts_of(name)
-    told = policy["gta"] or alone
-    return told or any(part == ORACLE or privileged(part) for part in parts)
+    knows_truth = policy["gta"] or alone
+    return knows_truth or any(part == ORACLE or privileged(part) for part in parts)
 
 
 def _named(row: Row) -> str:
@@ -255,7 +257,7 @@ def verify(
     ]
     differing: list[str] = []
     for found in engine.run(check_episodes, jobs):
-        differing += [told for told in found if told]
+        differing += [difference for difference in found if difference]
         advance(len(found))
     problems += differing[:_MOST_NAMED]
     if len(differing) > _MOST_NAMED:
@@ -279,8 +281,8 @@ def copies(found: Sequence[Verification]) -> list[Verification]:
     for one in found:
         other = first.setdefault(one.digest or str(one.lines), one)
         if other.policy != one.policy:
-            told = f"Its lines are those of {other.policy} in {other.lines}."
-            one = replace(one, problems=(*one.problems, told))
+            problem = f"Its lines are those of {other.policy} in {other.lines}."
+            one = replace(one, problems=(*one.problems, problem))
         checked.append(one)
     return checked
 

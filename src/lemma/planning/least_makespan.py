@@ -38,8 +38,8 @@ def least_makespan(jobs: Sequence[Job], limit_s: float = 10.0) -> Schedule | Non
         for job, chosen in zip(jobs, who, strict=True)
         for robot, here in chosen.items()
     ]
-    taken = [job.times(robot)[3] * here for job, robot, here in options]
-    model.add(cp_model.LinearExpr.sum(taken) <= late)
+    durations = [job.times(robot)[3] * here for job, robot, here in options]
+    model.add(cp_model.LinearExpr.sum(durations) <= late)
     makespan = model.new_int_var(0, late, "")
     model.add_max_equality(makespan, [stages[3] for stages in at])
     solver = cp_model.CpSolver()

@@ -131,13 +131,15 @@ class _Problem:
             (self._regions, "region"),
             (self._spots, "spot"),
         )
-        told = "\n  ".join(f"{' '.join(n)} - {kind}" for n, kind in objects if n)
+        declarations = "\n  ".join(
+            f"{' '.join(n)} - {kind}" for n, kind in objects if n
+        )
         facts = "\n  ".join((*self._lies(), *self._reach()))
         goals = " ".join(f"(on {top} {bottom})" for top, bottom in self._goal.pairs)
         return (
-            f"(define (problem {name})\n (:domain {DOMAIN})\n (:objects\n  {told})\n"
-            f" (:init\n  {facts})\n (:goal (and {goals}))\n"
-            " (:metric minimize (total-time)))\n"
+            f"(define (problem {name})\n (:domain {DOMAIN})\n"
+            f" (:objects\n  {declarations})\n (:init\n  {facts})\n"
+            f" (:goal (and {goals}))\n (:metric minimize (total-time)))\n"
         )
 
     def _lies(self) -> list[str]:

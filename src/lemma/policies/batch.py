@@ -296,10 +296,10 @@ def batch_of(
         InvalidConfigError: Something was moved that has none.
     """
     past = np.full((len(inputs), MAX_PAST, 4), NOBODY)
-    for row, given in enumerate(inputs):
-        for column, step in enumerate(given.past[-MAX_PAST:]):
+    for row, policy_input in enumerate(inputs):
+        for column, step in enumerate(policy_input.past[-MAX_PAST:]):
             past[row, column] = decision_numbers(step.subtask.to_dict(), entities)
-    views = [given.view for given in inputs]
+    views = [policy_input.view for policy_input in inputs]
 
     def stacked(name: str, dtype: torch.dtype) -> Tensor:
         array = np.stack([getattr(view, name) for view in views])
@@ -312,7 +312,7 @@ def batch_of(
         joints=stacked("joints", torch.float32),
         opening_m=stacked("opening_m", torch.float32),
         past=torch.from_numpy(past).to(device),
-        instructions=[given.instruction for given in inputs],
+        instructions=[policy_input.instruction for policy_input in inputs],
         sub_instructions=list(sub_instructions),
         raster=raster,
         entities=entities,

@@ -77,12 +77,12 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
     try:
         return make(**(arguments or {}))
     except Exception as error:
-        given = ", ".join(
+        shown = ", ".join(
             f"{key}={value!r}" for key, value in (arguments or {}).items()
         )
         raise InvalidConfigError(
             f"{name} could not be made: {type(error).__name__}: {error}. It is called "
-            f"with {given or 'no arguments'}."
+            f"with {shown or 'no arguments'}."
         ) from error
 
 

@@ -58,14 +58,14 @@ class MultiStep(Composite):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Plan as if nothing had changed on the table."""
-        at_first = [_as_at_first(given) for given in inputs]
+        at_first = [_as_at_first(policy_input) for policy_input in inputs]
         return self.planner.plan(visible_to(self.planner, at_first))
 
 
-def _as_at_first(given: PolicyInput) -> PolicyInput:
-    first = given.past[0].view if given.past else given.view
-    past = tuple(PastStep(first, step.subtask) for step in given.past)
-    return replace(given, view=first, past=past)
+def _as_at_first(policy_input: PolicyInput) -> PolicyInput:
+    first = policy_input.past[0].view if policy_input.past else policy_input.view
+    past = tuple(PastStep(first, step.subtask) for step in policy_input.past)
+    return replace(policy_input, view=first, past=past)
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ class RetryingPlanner(Composite):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the planner's sub-tasks, each for a robot that was not refused it."""
-        untried = [_as_untried(given) for given in inputs]
+        untried = [_as_untried(policy_input) for policy_input in inputs]
         decided = self.planner.plan(visible_to(self.planner, untried))
         return [
-            _for_another(given, subtask)
-            for given, subtask in zip(inputs, decided, strict=True)
+            _for_another(policy_input, subtask)
+            for policy_input, subtask in zip(inputs, decided, strict=True)
         ]
 
 
@@ -97,11 +97,11 @@ class RetryingPolicy(Composite):
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the policy's decisions, each for a robot that was not refused it."""
-        untried = [_as_untried(given) for given in inputs]
+        untried = [_as_untried(policy_input) for policy_input in inputs]
         decided = self.policy.act(visible_to(self.policy, untried))
         found = []
-        for given, decision in zip(inputs, decided, strict=True):
-            subtask = _for_another(given, decision.subtask)
+        for policy_input, decision in zip(inputs, decided, strict=True):
+            subtask = _for_another(policy_input, decision.subtask)
             grounded = decision.grounded
             if grounded is not None:
                 grounded = replace(grounded, robot=subtask.robot)
@@ -109,32 +109,32 @@ class RetryingPolicy(Composite):
         return found
 
 
-def _refused(given: PolicyInput) -> list[SubTask]:
+def _refused(policy_input: PolicyInput) -> list[SubTask]:
     """Return what was refused since anything was carried out, the last one first."""
     found = []
-    for step in reversed(given.past):
+    for step in reversed(policy_input.past):
         if step.outcome not in REFUSED:
             break
         found.append(step.subtask)
     return found
 
 
-def _as_untried(given: PolicyInput) -> PolicyInput:
+def _as_untried(policy_input: PolicyInput) -> PolicyInput:
     """Return an input without the last refused sub-task, while robots are left."""
-    refused = _refused(given)
+    refused = _refused(policy_input)
     same = 0
     while same < len(refused) and _is_alike(refused[same], refused[0]):
         same += 1
-    left = 0 < same < len(given.robots)
-    return given.with_past(given.past[:-same]) if left else given
+    left = 0 < same < len(policy_input.robots)
+    return policy_input.with_past(policy_input.past[:-same]) if left else policy_input
 
 
-def _for_another(given: PolicyInput, subtask: SubTask) -> SubTask:
+def _for_another(policy_input: PolicyInput, subtask: SubTask) -> SubTask:
     """Return a sub-task for the next robot that was not refused it, if there is one."""
-    tried = {one.robot for one in _refused(given) if _is_alike(one, subtask)}
+    tried = {one.robot for one in _refused(policy_input) if _is_alike(one, subtask)}
     if subtask.robot not in tried:
         return subtask
-    team = robot_names(len(given.robots))
+    team = robot_names(len(policy_input.robots))
     first = team.index(subtask.robot)
     others = (*team[first + 1 :], *team[:first])
     return next(

@@ -136,8 +136,7 @@ def visible_to(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]
     if is_oracle(part):
         return list(inputs)
     return [
-        given.without_truth() if isinstance(given, OracleInput) else given
-        for given in inputs
+        one.without_truth() if isinstance(one, OracleInput) else one for one in inputs
     ]
 
 
@@ -203,10 +202,10 @@ class Proposer(Protocol):
 
 def proposals(planner: Planner, inputs: Sequence[PolicyInput]) -> list[Decision]:
     """Return what a planner decides, with all that it has to say of it."""
-    given = visible_to(planner, inputs)
+    visible = visible_to(planner, inputs)
     if isinstance(planner, Proposer):
-        return planner.propose(given)
-    return [Decision(subtask, None) for subtask in planner.plan(given)]
+        return planner.propose(visible)
+    return [Decision(subtask, None) for subtask in planner.plan(visible)]
 
 
 @runtime_checkable

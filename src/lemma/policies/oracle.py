@@ -45,7 +45,7 @@ class OraclePlanner(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        return [self._plan(truth_of(given)) for given in inputs]
+        return [self._plan(truth_of(policy_input)) for policy_input in inputs]
 
     def _plan(self, episode: Episode) -> SubTask:
         answer = self._answers.get(episode)
@@ -74,8 +74,8 @@ class OracleGrounder(Oracle):
             UnknownNameError: There is no such robot in the scene.
         """
         found: list[GroundedSubTask | None] = []
-        for given, subtask in zip(inputs, subtasks, strict=True):
-            scene = truth_of(given).simulation.scene
+        for policy_input, subtask in zip(inputs, subtasks, strict=True):
+            scene = truth_of(policy_input).simulation.scene
             step = GeometricGrounder(scene.spec).ground(
                 subtask, SymbolicState.observe(scene)
             )
@@ -106,19 +106,19 @@ class GroundTruthAllocation(Oracle):
     def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the same with what else the planner has to say."""
         return [
-            replace(decision, subtask=self._allocate(given, decision.subtask))
-            for given, decision in zip(
+            replace(decision, subtask=self._allocate(policy_input, decision.subtask))
+            for policy_input, decision in zip(
                 inputs, proposals(self.planner, inputs), strict=True
             )
         ]
 
-    def _allocate(self, given: PolicyInput, subtask: SubTask) -> SubTask:
+    def _allocate(self, policy_input: PolicyInput, subtask: SubTask) -> SubTask:
         if subtask.primitive is Primitive.STOP:
             return subtask
-        expected = self.expert.plan([given])[0]
+        expected = self.expert.plan([policy_input])[0]
         if replace(expected, robot=subtask.robot) == subtask:
             return expected
-        scene = truth_of(given).simulation.scene
+        scene = truth_of(policy_input).simulation.scene
         geometry, now = GeometricGrounder(scene.spec), SymbolicState.observe(scene)
         steps = [
             geometry.ground(replace(subtask, robot=robot), now)
@@ -130,15 +130,15 @@ class GroundTruthAllocation(Oracle):
         return max(able, key=lambda step: step.quality).subtask
 
 
-def truth_of(given: PolicyInput) -> Episode:
+def truth_of(policy_input: PolicyInput) -> Episode:
     """Return the episode itself.
 
     Raises:
         InvalidConfigError: The input comes without the truth.
     """
-    if not isinstance(given, OracleInput):
+    if not isinstance(policy_input, OracleInput):
         raise InvalidConfigError(
             "An oracle was asked, but the inputs come without the truth. Give it "
             "OracleInput, or use a learned policy."
         )
-    return given.episode
+    return policy_input.episode

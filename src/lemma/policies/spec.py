@@ -54,8 +54,8 @@ LEVELS = ("plan", "skill", "control")
 """A policy decides on sub-tasks in symbols, on sub-tasks with poses, or on motor
 commands."""
 CONTROL = LEVELS[2]
-_UNSAID = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
-"""Fields that are not told where they have these values."""
+_OMITTED = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
+"""Fields that are left out where they have these values."""
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
 Load = Callable[[str], Any]
@@ -215,11 +215,11 @@ class PolicySpec:
 
     def about(self) -> dict[str, Any]:
         """Return the fields that decide what it does; :meth:`planners` say more."""
-        told = {name: told for name, told in asdict(self).items() if name != "chat"}
+        fields = {name: value for name, value in asdict(self).items() if name != "chat"}
         # As JSON has it: what is read back must be equal.
-        told["arguments"] = dict(self.arguments)
+        fields["arguments"] = dict(self.arguments)
         return {
-            name: value for name, value in told.items() if value != _UNSAID.get(name)
+            name: value for name, value in fields.items() if value != _OMITTED.get(name)
         }
 
     def planners(self) -> list[Any]:
@@ -301,8 +301,8 @@ class PolicySpec:
         if self.controls:
             known = self.name == ORACLE
             found = ExpertControl() if known else self.part(self.name, load)
-            told = "is no policy at control level: it has no act(inputs)."
-            return _able(found, Policy, f"{self.name} {told}")
+            problem = "is no policy at control level: it has no act(inputs)."
+            return _able(found, Policy, f"{self.name} {problem}")
         if not (more or first == ORACLE or self.is_planner(first)):
             return self._whole(load)
         planner = OraclePlanner() if first == ORACLE else self.part(first, load)
@@ -315,8 +315,8 @@ class PolicySpec:
             )
         last = more[0] if more else ORACLE
         grounder = OracleGrounder() if last == ORACLE else self.part(last, load)
-        told = "cannot ground; it has no ground(inputs, subtasks)."
-        return self._compose(planner, _able(grounder, Grounder, f"{last} {told}"))
+        problem = "cannot ground; it has no ground(inputs, subtasks)."
+        return self._compose(planner, _able(grounder, Grounder, f"{last} {problem}"))
 
     def part(self, name: str, load: Load | None) -> Any:
         """Return the planner, grounder or policy of a name."""
@@ -340,9 +340,9 @@ class PolicySpec:
                 f"{self.name} does not plan in symbols, so neither multi-step "
                 "planning nor ground-truth allocation applies to it."
             )
-        told = "is no whole policy: it has no act(inputs). Combine a planner with a "
-        told += "grounder, as in episodic-transformer+cliport."
-        found: Policy = _able(whole, Policy, f"{self.name} {told}")
+        problem = "is no whole policy: it has no act(inputs). Combine a planner with a "
+        problem += "grounder, as in episodic-transformer+cliport."
+        found: Policy = _able(whole, Policy, f"{self.name} {problem}")
         return found if _reads_outcomes(whole) else RetryingPolicy(found)
 
     def _compose(self, planner: Planner, grounder: Grounder) -> Policy:

@@ -123,8 +123,8 @@ def are_here(name: str) -> bool:
 
 
 def _local(entry: dict[str, Any]) -> Path | None:
-    told = os.environ.get(FOLDER_VARIABLE)
-    for folder in (Path(told) if told else None, CHECKOUT):
+    configured = os.environ.get(FOLDER_VARIABLE)
+    for folder in (Path(configured) if configured else None, CHECKOUT):
         if folder is not None and (path := Path(folder, entry["file"])).is_file():
             return path
     return None

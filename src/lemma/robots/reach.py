@@ -159,7 +159,7 @@ def reach_of(arm_name: str) -> Reach:
     """Return the reach of an arm type."""
     origin = Pose2(0.0, 0.0)
 
-    def ring(z: float) -> tuple[float, float]:
+    def edges(z: float) -> tuple[float, float]:
         """Bisect the two edges of the ring at one height."""
         middle = _find_inside(arm_name, z)
         inner = _bisect(lambda r: can_hold(arm_name, origin, r, 0.0, z), middle, 0.0)
@@ -168,7 +168,7 @@ def reach_of(arm_name: str) -> Reach:
         )
         return inner, outer
 
-    low, high = ring(GRASP_HEIGHT_M), ring(TRAVEL_HEIGHT_M)
+    low, high = edges(GRASP_HEIGHT_M), edges(TRAVEL_HEIGHT_M)
     return Reach(
         inner_m=round(max(low[0], high[0]), 3),
         travel_m=round(min(low[1], high[1]), 3),

@@ -215,9 +215,13 @@ class Conversation:
         """
         known, self._sent = self._sent, {}
         written, new = list[messages.InputMessage](), []
-        for given in inputs:
-            own = given.own_views if isinstance(given, TeamInput) else {}
-            seen = (*(step.view for step in given.past), given.view, *own.values())
+        for policy_input in inputs:
+            own = policy_input.own_views if isinstance(policy_input, TeamInput) else {}
+            seen = (
+                *(step.view for step in policy_input.past),
+                policy_input.view,
+                *own.values(),
+            )
             for view in seen:
                 if view in self._sent:
                     continue
@@ -229,20 +233,20 @@ class Conversation:
                 messages.StepMessage(
                     self._sent[step.view], step.subtask, step.outcome, step.explanation
                 )
-                for step in given.past
+                for step in policy_input.past
             ]
-            number, robots = self._sent[given.view], list(given.robots)
-            plain = (given.instruction, robots, number, past)
-            if isinstance(given, TeamInput):
-                told = messages.TeamMessage(
+            number, robots = self._sent[policy_input.view], list(policy_input.robots)
+            plain = (policy_input.instruction, robots, number, past)
+            if isinstance(policy_input, TeamInput):
+                team_message = messages.TeamMessage(
                     *plain,
-                    time_s=given.time_s,
-                    free=list(given.free),
-                    doing=dict(given.doing),
-                    messages=list(given.messages),
+                    time_s=policy_input.time_s,
+                    free=list(policy_input.free),
+                    doing=dict(policy_input.doing),
+                    messages=list(policy_input.messages),
                     own_views={name: self._sent[view] for name, view in own.items()},
                 )
-                written.append(told)
+                written.append(team_message)
             else:
                 written.append(messages.InputMessage(*plain))
         return {"inputs": written, "views": new}
@@ -350,10 +354,10 @@ class _Acts(Remote):
         Raises:
             PolicyFailedError: It has none.
         """
-        controls = [given for given in inputs if isinstance(given, ControlInput)]
+        controls = [one for one in inputs if isinstance(one, ControlInput)]
         if controls:
             return self._control(controls)
-        plain = [given for given in inputs if isinstance(given, PolicyInput)]
+        plain = [one for one in inputs if isinstance(one, PolicyInput)]
         reply = self.conversation.decide(messages.Act, plain, messages.Decisions)
         return _counted(reply.decisions, "decisions", len(inputs))
 
@@ -361,9 +365,12 @@ class _Acts(Remote):
         # The memory stays with the policy; here it is the number of the episode.
         asked = [
             messages.ControlMessage.of(
-                given, next(self._episodes) if given.memory is None else given.memory
+                control_input,
+                next(self._episodes)
+                if control_input.memory is None
+                else control_input.memory,
             )
-            for given in inputs
+            for control_input in inputs
         ]
         answers = self.conversation.control(asked).actions
         rows = [array.read("actions") for array in answers]

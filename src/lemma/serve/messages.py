@@ -93,21 +93,21 @@ class ControlMessage(msgspec.Struct):
     cameras: dict[str, Camera] = {}
 
     @classmethod
-    def of(cls, given: ControlInput, episode: int) -> Self:
+    def of(cls, control_input: ControlInput, episode: int) -> Self:
         """Return an input as a message; its memory stays where the policy is.
 
         Args:
-            given: The input.
+            control_input: The input.
             episode: Number of the episode on this connection.
         """
         return cls(
             episode=episode,
-            step=given.step,
-            time_s=given.time_s,
-            instruction=given.instruction,
-            robots=list(given.robots),
-            arrays=_flat(given.observation),
-            cameras=dict(given.cameras),
+            step=control_input.step,
+            time_s=control_input.time_s,
+            instruction=control_input.instruction,
+            robots=list(control_input.robots),
+            arrays=_flat(control_input.observation),
+            cameras=dict(control_input.cameras),
         )
 
     def read(self, memory: Any) -> ControlInput:

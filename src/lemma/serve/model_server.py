@@ -143,11 +143,12 @@ class ModelServer:
         allowed_s = self.mode.timeout_s * len(inputs)
         end = time.monotonic() + allowed_s
         episodes: list[ServedEpisode] = [
-            given.memory or self._begin(len(given.robots)) for given in inputs
+            control_input.memory or self._begin(len(control_input.robots))
+            for control_input in inputs
         ]
         asked = [
-            _attempt(episode.ask, self._seen(given))
-            for episode, given in zip(episodes, inputs, strict=True)
+            _attempt(episode.ask, self._seen(control_input))
+            for episode, control_input in zip(episodes, inputs, strict=True)
         ]
         found = [
             failed or _attempt(episode.answer, end, allowed_s)
@@ -173,11 +174,14 @@ class ModelServer:
         names = robot_names(robots)
         return [f"{robot}.{column}" for robot in names for column in self._columns]
 
-    def _seen(self, given: ControlInput) -> dict[str, Any]:
-        parts = [np.ravel(given.observation[part]) for part in self._state]
-        pixels = given.observation.get("pixels", {})
+    def _seen(self, control_input: ControlInput) -> dict[str, Any]:
+        parts = [np.ravel(control_input.observation[part]) for part in self._state]
+        pixels = control_input.observation.get("pixels", {})
         return vla_eval.observation(
-            pixels, given.instruction, np.concatenate(parts), given.robots
+            pixels,
+            control_input.instruction,
+            np.concatenate(parts),
+            control_input.robots,
         )
 
     def _begin(self, robots: int) -> "ServedEpisode":

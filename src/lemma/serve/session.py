@@ -88,7 +88,7 @@ class Session:
         try:
             return messages.encode(self._answer(messages.decode_request(data)))
         except Exception as error:
-            kind, text = _told(error)
+            kind, text = _error_fields(error)
             return messages.encode(messages.Error(kind=kind, message=text))
 
     def _answer(self, asked: messages.Request) -> messages.Reply:
@@ -171,7 +171,7 @@ class Session:
         return found
 
 
-def _told(error: Exception) -> tuple[str, str]:
+def _error_fields(error: Exception) -> tuple[str, str]:
     """Return the kind of an error message, and its text."""
     if isinstance(error, ProtocolError):
         return "request", str(error)
@@ -250,7 +250,7 @@ class ModelSession(Session):
                 return b""
             return vla_eval.pack(answer)
         except Exception as error:
-            kind, text = _told(error)
+            kind, text = _error_fields(error)
         failed = {"error": text, **({"kind": kind} if kind == UNAVAILABLE else {})}
         return vla_eval.pack(Message.of(Kind.ERROR, failed, seq))
 
@@ -280,7 +280,7 @@ class ModelSession(Session):
     def _act(self, seen: Mapping[str, Any]) -> NDArray[Any]:
         """Return the next action, (n,)."""
         if not self._chunk:
-            [answer] = self._ask("act", [self._given(seen)])
+            [answer] = self._ask("act", [self._control_input(seen)])
             rows, self._memory = _rows(answer)
             if rows.ndim not in (2, 3) or not len(rows):
                 raise ProtocolError(
@@ -291,7 +291,7 @@ class ModelSession(Session):
         self._step += 1
         return self._chunk.pop(0).ravel()
 
-    def _given(self, seen: Mapping[str, Any]) -> ControlInput:
+    def _control_input(self, seen: Mapping[str, Any]) -> ControlInput:
         """Return the input of the policy."""
         state = np.ravel(seen.get("states", seen.get("state", ())))
         robots = state.size // (len(_STATE) * _PER_ROBOT)

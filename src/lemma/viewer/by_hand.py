@@ -65,7 +65,7 @@ class DraggingPanel:
         self.dragging = Dragging(server, self.drop)
         gui: Any = server.gui
         with gui.add_folder("Table"):
-            self.told = gui.add_html("")
+            self.text = gui.add_html("")
             hint = "Cubes, pads and the stick. Click to turn one."
             self.things = gui.add_checkbox("Drag things", True, hint=hint)
             hint = "Before an episode."
@@ -110,7 +110,7 @@ class DraggingPanel:
             self._instance = play.instance
             own = request.own is not None
             bad = problems(request.instance()) if own else ()
-            self.told.content = part("table", own, bad)
+            self.text.content = part("table", own, bad)
             show_if(self.reset, own)
         if play.moved is not None and play.moved is not self._moved:
             self._moved = play.moved
@@ -138,12 +138,12 @@ class OrderPanel:
         self._session = session
         self._asked: tuple[object, ...] = ()
         self._options: Options | None = None
-        self._told = ""
+        self._text = ""
         self._play: TeamPlay | None = None
         self._by_words: dict[str, SubTask] = {}
         gui: Any = server.gui
         with gui.add_folder("Orders", visible=False) as self.folder:
-            self.told = gui.add_html("")
+            self.text = gui.add_html("")
             self.robot = gui.add_dropdown("Robot", ("robot",))
             hint = "It finishes what it does, and then does what you order alone."
             self.take = gui.add_button("Take over", hint=hint)
@@ -152,8 +152,8 @@ class OrderPanel:
             self.what = gui.add_dropdown("Order", (NOTHING_TO_ORDER,))
             hint = "As soon as this robot is free, and what it needs is there."
             self.give = gui.add_button("Give order", color="blue", hint=hint)
-        self.take.on_click(lambda _: self.lead(taken=True))
-        self.back.on_click(lambda _: self.lead(taken=False))
+        self.take.on_click(lambda _: self.lead(by_visitor=True))
+        self.back.on_click(lambda _: self.lead(by_visitor=False))
         self.give.on_click(lambda _: self.order())
 
     def _chosen(self, play: TeamPlay) -> str:
@@ -163,11 +163,11 @@ class OrderPanel:
         found = self.robot.value in options and len(options) == len(names)
         return names[options.index(self.robot.value) if found else 0]
 
-    def lead(self, *, taken: bool) -> None:
+    def lead(self, *, by_visitor: bool) -> None:
         """Take the chosen robot, or give it back."""
         play = self._session.play
         if isinstance(play, TeamPlay) and play.takes_orders:
-            (play.take if taken else play.give_back)(self._chosen(play))
+            (play.take if by_visitor else play.give_back)(self._chosen(play))
 
     def order(self) -> None:
         """Give the chosen order."""
@@ -186,11 +186,11 @@ class OrderPanel:
             self._play, self._asked, self._options = play, (), None
             self.robot.options = robot_phrases(instance.scene.robots)
         robot = self._chosen(play)
-        show_if(self.take, robot not in play.taken)
-        show_if(self.back, robot in play.taken)
-        told = team_html(play)
-        if told != self._told:
-            self._told = self.told.content = told
+        show_if(self.take, robot not in play.visitor_led)
+        show_if(self.back, robot in play.visitor_led)
+        text = team_html(play)
+        if text != self._text:
+            self._text = self.text.content = text
         asked = robot, play.status.lines, play.todo
         if asked != self._asked:
             self._asked = asked

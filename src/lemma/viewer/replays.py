@@ -280,7 +280,7 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
         replays: The episodes.
         player: HTML of the player; None if it is in the script beside the page.
     """
-    told = [
+    episodes = [
         {
             "name": replay.name,
             "title": replay.title,
@@ -305,7 +305,7 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
         "replays.html",
         title=replays[0].title if len(replays) == 1 else "LEMMA Bench: replays",
         replays=replays,
-        told=told,
+        episodes=episodes,
         player="" if player is None else script_text(player),
         beside=PLAYER,
         encode=lambda content: base64.b64encode(content).decode(),

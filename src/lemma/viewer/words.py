@@ -105,7 +105,7 @@ def team_html(play: TeamPlay) -> str:
         doing = running.get(name)
         words = "free" if doing is None else order_words(doing, instance)
         ink = "rgb({}, {}, {})".format(*ROBOT_INK[placed.color])
-        rows.append((ink, said, words, name in play.taken))
+        rows.append((ink, said, words, name in play.visitor_led))
     return part("team", rows)
 
 

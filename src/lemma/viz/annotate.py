@@ -68,7 +68,7 @@ def label_plate(
     text: str,
     size: float,
     away: float,
-    taken: list[Box],
+    occupied: list[Box],
     within: Point,
 ) -> Box:
     """Return a free place for a label: above a point, else below, right or left of it.
@@ -78,7 +78,7 @@ def label_plate(
         text: The word.
         size: Height of the letters [px].
         away: Distance from the point to the plate's middle [px].
-        taken: Boxes to keep free, if that is possible.
+        occupied: Boxes to keep free, if that is possible.
         within: Width and height of the picture, which labels do not leave [px].
     """
     half_width, half_height = (text_width(text, size) + 2.0 * size) / 2, 0.78 * size
@@ -94,7 +94,7 @@ def label_plate(
     def is_free(box: Box) -> bool:
         return not any(
             all(box[0][i] < other[1][i] and other[0][i] < box[1][i] for i in range(2))
-            for other in taken
+            for other in occupied
         )
 
     return next(filter(is_free, boxes), boxes[0])
@@ -130,7 +130,7 @@ class Canvas:
         """Fill a circle."""
         self._draw.circle(self._scaled([centre])[0], radius * self._factor, fill=color)
 
-    def ring(
+    def circle(
         self,
         centre: Point,
         radius: float,
@@ -195,7 +195,7 @@ class Canvas:
         size: float,
         mark: Color,
         away: float,
-        taken: list[Box],
+        occupied: list[Box],
     ) -> None:
         """Write a word on a white plate, with a colored dot before it.
 
@@ -205,11 +205,11 @@ class Canvas:
             size: Height of the letters [px].
             mark: Color of the dot.
             away: Distance from the point to the plate's middle [px].
-            taken: Boxes to keep free, if that is possible; the plate is added.
+            occupied: Boxes to keep free, if that is possible; the plate is added.
         """
         within = self._image.width / self._factor, self._image.height / self._factor
-        plate = label_plate(near, text, size, away, taken, within)
-        taken.append(plate)
+        plate = label_plate(near, text, size, away, occupied, within)
+        occupied.append(plate)
         (left, top), (_, bottom) = plate
         corners, round_px = self._scaled([*plate]), 0.4 * size * self._factor
         self._draw.rounded_rectangle(corners, round_px, fill=(255, 255, 255, 225))

@@ -260,13 +260,13 @@ def _bar(scale: _Scale, span: Span, y: float, ink: str, lines: Sequence[Line]) -
     if span.number:
         joint = ", " if in_subtask else " before "
         words += f"{joint}{span.number}. {lines[span.number - 1].words}"
-    told = (
+    attributes = (
         f'data-robot="{escape(span.robot)}" data-cause="{span.cause}" '
         f'data-number="{span.number}" data-start="{span.start_s:.3f}" '
         f'data-end="{span.end_s:.3f}"'
     )
     bar = (
-        f'<rect class="span" {told} x="{scale.at(span.start_s)}" y="{top}" '
+        f'<rect class="span" {attributes} x="{scale.at(span.start_s)}" y="{top}" '
         f'width="{scale.at(span.duration_s)}" height="{height}" fill="{fill}" '
         f'stroke="{edge}" stroke-width="{0.8 if span.ok else 2}" rx="2">'
         f"<title>{escape(words)}: {span.start_s:.1f} to {span.end_s:.1f} s</title>"

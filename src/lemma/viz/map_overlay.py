@@ -82,9 +82,11 @@ def annotated_map(
         # A dark edge, because white would not be seen on what is pale.
         for ink, width_px in ((INK, 0.30), (ROBOT_INK[placed.color], 0.18)):
             thick = width_px * size
-            canvas.ring(centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2)
-            canvas.ring(centre, reach.travel_m * metre, ink, thick)
-            canvas.ring(centre, reach.inner_m * metre, ink, thick)
+            canvas.circle(
+                centre, could.touch_m * metre, ink, 0.7 * thick, dash=size / 2
+            )
+            canvas.circle(centre, reach.travel_m * metre, ink, thick)
+            canvas.circle(centre, reach.inner_m * metre, ink, thick)
     _name_entities(canvas, instance, scene, width)
     return canvas.picture()
 
@@ -113,23 +115,23 @@ def _name_entities(
         if name == STICK:
             pose = pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0)
         places[name] = pixel_of(pose.x, pose.y, width)
-    taken = []
+    occupied = []
     for top, bottom in instance.goal.pairs:
         if HAND in (top, bottom):
             at = places[bottom if top == HAND else top]
-            canvas.ring(at, 1.1 * size, _GOAL_INK, 0.28 * size)
+            canvas.circle(at, 1.1 * size, _GOAL_INK, 0.28 * size)
             continue
         start, end = _shorten(places[top], places[bottom], 1.1 * size)
         canvas.arrow(start, end, _GOAL_INK, 0.28 * size)
-        taken += [_around(start, size), _around(end, size)]
+        occupied += [_around(start, size), _around(end, size)]
     labels = [(at, name, _ink_of(name), 2.0) for name, at in places.items()]
     titles = robot_titles(instance).items()
     for (name, title), placed in zip(titles, instance.scene.robots, strict=True):
         at = pixel_of(placed.base.x, placed.base.y, width)
         labels.append((at, f"{name}: {title}", ROBOT_INK[placed.color], 3.2))
-    taken += [_around(at, 0.8 * size) for at, *_ in labels]
+    occupied += [_around(at, 0.8 * size) for at, *_ in labels]
     for at, text, ink, away in labels:
-        canvas.label(at, text, size, ink, away * size, taken)
+        canvas.label(at, text, size, ink, away * size, occupied)
 
 
 def _ink_of(entity: str) -> Color:

@@ -11,7 +11,7 @@ from lemma.dataset.playback import FrameTaker
 from lemma.env.episode import Episode
 from lemma.env.simulation import HORIZON_S
 from lemma.evaluation.records import older_versions
-from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
+from lemma.evaluation.run.rollout import Player, Rollout, StepRecord, roll_out
 from lemma.expert.expert import ExpertStep
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import SkillResult
@@ -188,7 +188,7 @@ def record(
     taker = FrameTaker(play.episode.simulation, frame_s) if frame_s else None
     lines, watch = [], TeamWatch(play.episode.simulation)
 
-    def take_step(_: Rollout, step: TakenStep) -> None:
+    def take_step(_: Rollout, step: StepRecord) -> None:
         line = describe_step(step, instance)
         lines.append(line.watched(watch, play.episode.elapsed_s))
         if on_step:
@@ -289,7 +289,7 @@ def main_sentence(instance: Instance) -> str:
     return sentences.get("high_level") or next(iter(sentences.values()), "")
 
 
-def describe_step(step: TakenStep | ExpertStep, instance: Instance) -> Line:
+def describe_step(step: StepRecord | ExpertStep, instance: Instance) -> Line:
     """Put an executed sub-task into words."""
     words = describe_subtask(step.subtask, instance)
     return line_of(words, step.start_s, step.result, step.subtask)

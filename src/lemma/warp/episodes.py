@@ -98,7 +98,7 @@ class Episodes(Worlds):
             where, quarter, base, self.arms, angles, noise[..., :5]
         )
         far = torch.linalg.vector_norm(where[..., :2] - base[..., :2], dim=-1)
-        first = (far / self.arms.ring[:, 1]).argmin(-1, keepdim=True)
+        first = (far / self.arms.radii[:, 1]).argmin(-1, keepdim=True)
         chosen = possible & (noise[..., 5] < self._share)
         chosen = chosen & (first == self._at["numbers"])
         found = qpos.clone()

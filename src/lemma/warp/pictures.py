@@ -93,8 +93,8 @@ class Pictures:
             for name in self.cameras
         ]
         with wp.ScopedDevice(env.device):
-            self._eyes = wp.zeros((env.num_envs, count), dtype=wp.vec3)
-            self._turns = wp.zeros((env.num_envs, count), dtype=wp.mat33)
+            self._camera_xpos = wp.zeros((env.num_envs, count), dtype=wp.vec3)
+            self._camera_xmat = wp.zeros((env.num_envs, count), dtype=wp.mat33)
 
     def _make_colors(self) -> None:
         """Make the colors of shells of robots and of objects in each instance."""
@@ -154,8 +154,8 @@ class Pictures:
                 nworld=n,
                 geom_xpos=data.geom_xpos,
                 geom_xmat=data.geom_xmat,
-                cam_xpos=self._eyes,
-                cam_xmat=self._turns,
+                cam_xpos=self._camera_xpos,
+                cam_xmat=self._camera_xmat,
                 light_xpos=data.light_xpos,
                 light_xdir=data.light_xdir,
                 flexvert_xpos=wp.empty((n, 0), dtype=wp.vec3),
@@ -182,8 +182,8 @@ class Pictures:
         rows = torch.where(
             self._moves[:, None], self._on_wrists(), self._fixed[env.instance]
         )
-        wp.to_torch(self._eyes).copy_(rows[..., :3])
-        wp.to_torch(self._turns).copy_(rows[..., 3:].reshape(n, -1, 3, 3))
+        wp.to_torch(self._camera_xpos).copy_(rows[..., :3])
+        wp.to_torch(self._camera_xmat).copy_(rows[..., 3:].reshape(n, -1, 3, 3))
         colors = self._colors[env.instance][:, self._owner]
         wp.to_torch(self._rgba)[:, self._geoms] = colors
         self._launch()

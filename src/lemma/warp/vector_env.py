@@ -128,12 +128,12 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         return found | self.pictures.look() if self.pictures else found
 
     def _make_texts(self) -> None:
-        told = [one.instructions["high_level"] for one in self.pool.instances]
-        self._texts = tuple(dict.fromkeys(told))
-        places = [self._texts.index(text) for text in told]
+        sentences = [one.instructions["high_level"] for one in self.pool.instances]
+        self._texts = tuple(dict.fromkeys(sentences))
+        places = [self._texts.index(text) for text in sentences]
         self._sentence = torch.tensor(places, device=self.device)
 
-    def _told(self) -> Tensor:
+    def _sentence_numbers(self) -> Tensor:
         return self._sentence[self.instance]
 
     def _make_spaces(self) -> None:
@@ -151,7 +151,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         if seed is not None:
             self.draws.seed(seed)
         self._start_all()
-        info = {"instance": self.instance.clone(), "sentence": self._told()}
+        info = {"instance": self.instance.clone(), "sentence": self._sentence_numbers()}
         return self._seen(self._observe()), info
 
     @property
@@ -188,10 +188,10 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self._steps += 1
         if self._steps % _CHECK_STEPS == 0:
             self.check()
-        told = ("observation", "reward", "terminated", "truncated")
-        info = {key: value for key, value in found.items() if key not in told}
-        info["sentence"] = self._told()
-        observation, reward, terminated, truncated = (found[key] for key in told)
+        returned = ("observation", "reward", "terminated", "truncated")
+        info = {key: value for key, value in found.items() if key not in returned}
+        info["sentence"] = self._sentence_numbers()
+        observation, reward, terminated, truncated = (found[key] for key in returned)
         return self._seen(observation), reward, terminated, truncated, info
 
 

@@ -17,7 +17,7 @@ from lemma.evaluation.records import PROTECTIVE_STOP, Row
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.replay import differences, play_again
-from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
+from lemma.evaluation.run.rollout import Player, Rollout, StepRecord, roll_out
 from lemma.expert.plan_env import PlanEnv
 from lemma.policies.compose import PlannerWithGrounder
 from lemma.policies.interfaces import (
@@ -206,7 +206,7 @@ class Helpless:
         return [None for _ in inputs]
 
 
-def evaluated(subtask: SubTask, grounder: Grounder) -> tuple[TakenStep, PolicyInput]:
+def evaluated(subtask: SubTask, grounder: Grounder) -> tuple[StepRecord, PolicyInput]:
     """Return the step of `lemma evaluate`, and what the policy is told after it."""
     planner = Once(subtask)
     player = Player(PlannerWithGrounder(planner, grounder))

@@ -71,7 +71,7 @@ def table_of(now: SymbolicState) -> SceneTable:
             below = now.supports[name]
             height = 0.0 if below == TABLE else kind_of(below).height_m
             top[0, i] = kind.height_m + height
-    rings = [reach_of(robot.arm) for robot in robots]
+    reaches = [reach_of(robot.arm) for robot in robots]
     gap = now.spec.gap_m or (float("nan"), float("nan"))
     half = RASTER.size_m[0] / 2
     return SceneTable(
@@ -80,7 +80,7 @@ def table_of(now: SymbolicState) -> SceneTable:
         yaw=yaw,
         top=top,
         bases=torch.tensor([[robot.base.xy for robot in robots]]),
-        rings=torch.tensor([[[r.inner_m, r.travel_m, r.grasp_m] for r in rings]]),
+        radii=torch.tensor([[[r.inner_m, r.travel_m, r.grasp_m] for r in reaches]]),
         ground=ground_of(torch.tensor([gap]), half),
         half_x_m=half,
     )

@@ -67,7 +67,7 @@ def table(**places: tuple[float, float, float]) -> SceneTable:
         yaw=yaw,
         top=top,
         bases=torch.tensor([[[-0.7, 0.0], [0.7, 0.0]]]),
-        rings=torch.tensor([[[0.17, 0.8, 0.85]] * 2]),
+        radii=torch.tensor([[[0.17, 0.8, 0.85]] * 2]),
         ground=torch.ones(1, COLUMNS),
     )
 

@@ -59,9 +59,9 @@ class KeyPoseForm(KeyframeForm):
 
     def header(self, versions: dict[str, str]) -> Header:
         """Return the record that every file has, with the settings and versions."""
-        told = {**versions, KEY_POSES: "1", "missed": f"{self.missed:g}"}
+        settings = {**versions, KEY_POSES: "1", "missed": f"{self.missed:g}"}
         # Not super(): slots make another class of this one.
-        return KeyframeForm.header(self, told)
+        return KeyframeForm.header(self, settings)
 
     def write(
         self,

@@ -206,13 +206,13 @@ def _chunks(
         DatasetError: The recipe is not complete.
     """
     files = listed_files(order.recipe)
-    taken: dict[Path, int] = {}
+    rows_so_far: dict[Path, int] = {}
     # Groups of a file come in order, so their rows are counted from the first one.
     for source, group, rows in groups:
         name = source.relative_to(order.recipe).as_posix()
-        first = taken.get(source, 0)
-        taken[source] = first + len(rows)
-        digests = files.get(name, {}).get("digests", [])[first : taken[source]]
+        first = rows_so_far.get(source, 0)
+        rows_so_far[source] = first + len(rows)
+        digests = files.get(name, {}).get("digests", [])[first : rows_so_far[source]]
         if len(digests) != len(rows):
             raise DatasetError(
                 f"{MANIFEST} does not say what is in {source}: the recipe is not "

@@ -1,9 +1,9 @@
-"""Events: whether what stages depend on may have changed since they were last told.
+"""Events: whether what stages depend on may have changed since they were computed.
 
-To tell stages takes as long as several physics steps, and while a hand comes near a
+To compute stages takes as long as several physics steps, and while a hand comes near a
 cube, or carries it over the table, they stay what they are. So one kernel computes
 *flags*: who touches what with which parts, whose hand is near what, and what is led,
-rests, has fallen, is moved or lifted. Stages are told anew where
+rests, has fallen, is moved or lifted. Stages are computed anew where
 
 - a flag has changed;
 - an object moved which no robot leads, which is slow enough to rest, or which a hand is
@@ -16,7 +16,7 @@ rests, has fallen, is moved or lifted. Stages are told anew where
 
 Elsewhere every predicate of :mod:`lemma.env.stages` is what it was, but for an object
 within :data:`STILL_M` of a limit, and for an elbow that touches what stands between two
-physics steps. Whether stages are told depends on nothing but the states that were
+physics steps. Whether stages are computed depends on nothing but the states that were
 looked at, and what is known of them is saved with the stages.
 """
 
@@ -55,19 +55,19 @@ _HANDS = (Primitive.REACH, Primitive.LIFT)
 
 @dataclass(frozen=True, slots=True)
 class EventState:
-    """State from which stages were last told; plain data."""
+    """State from which stages were last computed; plain data."""
 
     poses: tuple[float, ...]
     flags: tuple[int, ...]
 
 
 class StageEvents:
-    """Compares the present state with the one from which stages were last told."""
+    """Compares the present state with the one from which stages were last computed."""
 
     def __init__(
         self, scene: Scene, goal: Goal, plan: tuple[SubTask, ...], first: FloatArray
     ) -> None:
-        """Begin before stages were told.
+        """Begin before stages were computed.
 
         Args:
             scene: Where things are.
@@ -110,7 +110,7 @@ class StageEvents:
         self._steps = np.array(steps, np.int64).reshape(-1, 3)
 
     def state(self) -> EventState:
-        """Return the state from which stages were last told."""
+        """Return the state from which stages were last computed."""
         poses, flags = self._poses.ravel().tolist(), self._flags.ravel().tolist()
         return EventState(tuple(poses), tuple(flags))
 
@@ -120,7 +120,7 @@ class StageEvents:
         self._flags[:] = np.reshape(state.flags, self._flags.shape)
 
     def look(self) -> bool:
-        """Return whether stages must be told from the present state."""
+        """Return whether stages must be computed from the present state."""
         qpos, _, sites = self._motion
         now, stirs = self._now, self._stirs
         seen: tuple[Any, ...] = (*self._contacts, *self._motion, *self._objects)

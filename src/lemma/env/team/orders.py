@@ -153,10 +153,10 @@ class Team:
             ResetNeededError: The episode is over.
             UnknownNameError: There is no such robot in this scene.
         """
-        given = grounded or subtask
-        if given is None:
+        commanded = grounded or subtask
+        if commanded is None:
             raise InvalidActionError("There is neither a sub-task nor poses to order.")
-        robot = given.robot
+        robot = commanded.robot
         self._check_free(robot)
         now = self.observe()
         settled = self.settled(now)
@@ -373,13 +373,13 @@ def _is_as_predicted(
     )
 
 
-def _at(option: GroundedOption, given: GroundedSubTask) -> GroundedOption:
+def _at(option: GroundedOption, grounded: GroundedSubTask) -> GroundedOption:
     """Return an option whose effect is where a policy's own poses say."""
     pick = option.subtask.pick
     pose = option.after.poses.get(pick)
     if option.subtask.primitive is not Primitive.MOVE or pose is None:
-        return replace(option, grounded=given)
-    at = Pose2(given.place.x, given.place.y, pose.yaw)
+        return replace(option, grounded=grounded)
+    at = Pose2(grounded.place.x, grounded.place.y, pose.yaw)
     after, support = option.after, option.after.supports.get(pick, TABLE)
     moved = after.moved(pick, at, support, after.labels[pick])
-    return replace(option, grounded=given, after=moved)
+    return replace(option, grounded=grounded, after=moved)

@@ -100,14 +100,14 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
     return Cause.STOPPED_EARLY if enough(row["left"]) else Cause.EXECUTION
 
 
-def _of_control(told: Mapping[str, Any]) -> Cause:
+def _of_control(control: Mapping[str, Any]) -> Cause:
     """Return what contacts and grasps tell."""
-    if told["fallen"]:
+    if control["fallen"]:
         return Cause.FELL
-    if not told["touched"]:
+    if not control["touched"]:
         return Cause.UNTOUCHED
-    grasped = {each["object"] for each in told["events"]}
-    return Cause.MISPLACED if grasped & {*told["touched"]} else Cause.UNGRASPED
+    grasped = {each["object"] for each in control["events"]}
+    return Cause.MISPLACED if grasped & {*control["touched"]} else Cause.UNGRASPED
 
 
 def mistake_of(row: Mapping[str, Any]) -> int | None:

@@ -43,20 +43,20 @@ def reached_by(rows: Sequence[Row], kind: str, task: str) -> Reached:
         kind: Kind of instructions.
         task: Name of the task.
     """
-    told = [row["stages"] for row in rows]
+    stages = [row["stages"] for row in rows]
     counted = Counter(
         "" if one["subtask"] is None else f"{one['subtask'] + 1} {one['stage']}"
-        for one in told
+        for one in stages
     )
     return Reached(
         kind,
         task,
         len(rows),
         progress=round(math.fsum(row["progress"] for row in rows), 6),
-        furthest=round(math.fsum(one["progress"] for one in told), 6),
-        moved=sum(one["moved"] != "" for one in told),
-        understood=sum(one["understood"] is True for one in told),
-        allocated=sum(one["allocated"] is True for one in told),
-        executed=sum(one["executed"] is True for one in told),
+        furthest=round(math.fsum(one["progress"] for one in stages), 6),
+        moved=sum(one["moved"] != "" for one in stages),
+        understood=sum(one["understood"] is True for one in stages),
+        allocated=sum(one["allocated"] is True for one in stages),
+        executed=sum(one["executed"] is True for one in stages),
         stages=dict(sorted(counted.items())),
     )

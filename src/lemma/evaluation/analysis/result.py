@@ -249,12 +249,12 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
         again = replace(again, teams=())
     if again.episodes_sha256 == result.episodes_sha256 and again == result:
         return
-    told, found = rates_in_words(result.cells), rates_in_words(again.cells)
+    recorded, found = rates_in_words(result.cells), rates_in_words(again.cells)
     differing = [
-        f"{' '.join(name)}: {told.get(name, 'none')} in the summary, "
+        f"{' '.join(name)}: {recorded.get(name, 'none')} in the summary, "
         f"{found.get(name, 'none')} in the lines"
-        for name in sorted({*told, *found}, key=_order)
-        if told.get(name) != found.get(name)
+        for name in sorted({*recorded, *found}, key=_order)
+        if recorded.get(name) != found.get(name)
     ]
     what = "; ".join(differing[:_MOST_NAMED]) or "the same rates, other episodes"
     raise DatasetError(
@@ -342,12 +342,12 @@ def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]
 def _planning(rows: Iterable[Row]) -> Iterable[Planning]:
     """Yield what decisions took, where somebody counted it."""
     for name, listed in _questions(rows):
-        told = [row["planning"] for row in listed if row.get("planning")]
-        if told:
+        efforts = [row["planning"] for row in listed if row.get("planning")]
+        if efforts:
             invalid: Counter[str] = Counter()
-            for each in told:
+            for each in efforts:
                 invalid.update(each["invalid"])
-            sums = {name: sum(each[name] for each in told) for name in _EFFORT}
+            sums = {name: sum(each[name] for each in efforts) for name in _EFFORT}
             ordered = dict(sorted(invalid.items()))
             yield Planning(*name, len(listed), invalid=ordered, **sums)
 

@@ -183,19 +183,19 @@ def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
     path = files("lemma.evaluation.experiments") / "experiments.toml"
     data = tomllib.loads(path.read_text("utf-8"))
     experiments = []
-    for told in data["experiment"]:
-        row = data["paper"].get(told.pop("paper", ""), {})
+    for entry in data["experiment"]:
+        row = data["paper"].get(entry.pop("paper", ""), {})
         figures = {kind: Figures.read(**printed) for kind, printed in row.items()}
-        one = msgspec.convert(told, Experiment)
+        one = msgspec.convert(entry, Experiment)
         experiments.append(replace(one, paper=figures))
-    trainings = [Training(**told) for told in data["training"]]
-    for told in data["ablation"]:
-        weights = f"{_ABLATED}-{told['name']}"
-        few = f"--episodes-per-task {ABLATION_EPISODES} {told.pop('arguments', '')}"
-        made = (_ABLATED, few.strip(), told.pop("recovery", True), _ABLATION_SAMPLES)
+    trainings = [Training(**entry) for entry in data["training"]]
+    for entry in data["ablation"]:
+        weights = f"{_ABLATED}-{entry['name']}"
+        few = f"--episodes-per-task {ABLATION_EPISODES} {entry.pop('arguments', '')}"
+        made = (_ABLATED, few.strip(), entry.pop("recovery", True), _ABLATION_SAMPLES)
         trainings.append(Training(weights, *made))
         policy = PolicySpec(weights)
-        experiments.append(Experiment(suite=ABLATIONS, policy=policy, **told))
+        experiments.append(Experiment(suite=ABLATIONS, policy=policy, **entry))
     return (
         {experiment.name: experiment for experiment in experiments},
         {training.name: training for training in trainings},

@@ -127,8 +127,8 @@ def _success() -> dict[str, Any]:
 def frozen() -> dict[str, Any]:
     """Return the protocol that ships."""
     text = (files("lemma.evaluation.protocol") / PROTOCOL).read_text("utf-8")
-    told: dict[str, Any] = json.loads(text)
-    return told
+    protocol: dict[str, Any] = json.loads(text)
+    return protocol
 
 
 def quote() -> str:

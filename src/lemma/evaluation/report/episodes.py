@@ -149,14 +149,14 @@ def _of_stop(row: Row) -> str:
         return ""
     last, later = row["subtasks"][-1], row["lenient"]
     solved = later is not None and later["success"]
-    told = " Told of it, the policy solved it all the same." if solved else ""
-    return f"Protective stop: {last['explanation']}{told}"
+    note = " Told of it, the policy solved it all the same." if solved else ""
+    return f"Protective stop: {last['explanation']}{note}"
 
 
 def _of_mistake(case: Case, cause: Cause, step: Mapping[str, Any], number: int) -> str:
     if cause not in _MISTAKES:
-        told = (f"Sub-task {number} is the expert's.", *_of_poses(cause, step))
-        return " ".join(told)
+        sentences = (f"Sub-task {number} is the expert's.", *_of_poses(cause, step))
+        return " ".join(sentences)
     expected = step["expert"]["expected"]
     words = _MISTAKES[cause]
     if cause is Cause.WRONG_PRIMITIVE and expected["primitive"] == Primitive.STOP:
@@ -204,10 +204,10 @@ def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
         yield step["explanation"]
 
 
-DEPARTURES = {
+DEVIATION_WORDS = {
     Deviation.ROBOT: "wrong robot",
     Deviation.ORDER: "too soon",
     Deviation.PRIMITIVE: "wrong primitive",
     Deviation.OBJECT: "wrong object",
 }
-"""Words for a sub-task that departs from the expert's."""
+"""Words for a sub-task that deviates from the expert's."""

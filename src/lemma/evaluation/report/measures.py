@@ -32,10 +32,10 @@ class Metric:
         values = [value for value in each if value is not None]
         if not values:
             return NOTHING
-        told = f"{(self.over_seeds or fmean)(values):.{self.places}f}"
+        text = f"{(self.over_seeds or fmean)(values):.{self.places}f}"
         if self.over_seeds is not None or len(values) == 1:
-            return told
-        return f"{told} ± {stdev(values):.{self.places}f}"
+            return text
+        return f"{text} ± {stdev(values):.{self.places}f}"
 
 
 def _ratio(part: str, whole: str, scale: float = 100.0, robot: str = "") -> OfSeed:

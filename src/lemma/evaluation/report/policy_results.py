@@ -284,4 +284,6 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
 def _data_of(result: Result) -> dict[str, str | None]:
     """Return the digest of the data that each part of a policy was trained on."""
     weights = result.about["weights"]
-    return {name: told.get("data", {}).get("digest") for name, told in weights.items()}
+    return {
+        name: entry.get("data", {}).get("digest") for name, entry in weights.items()
+    }

@@ -92,13 +92,13 @@ def page(
 def _prose(guide: str) -> tuple[str, dict[str, str]]:
     """Return the introduction of the page, and what is said of each table by title."""
     text = (files("lemma.evaluation.report") / "page.md").read_text("utf-8")
-    for name, told in (
+    for name, value in (
         ("guide", guide),
         ("not_run", NOT_RUN),
         ("ablation_episodes", str(ABLATION_EPISODES)),
         ("seeds", ", ".join(map(str, SEEDS))),
     ):
-        text = text.replace(f"{{{name}}}", told)
+        text = text.replace(f"{{{name}}}", value)
     introduction, *parts = text.split("\n## ")
     notes = (part.partition("\n") for part in parts)
     return introduction, {title: " ".join(note.split()) for title, _, note in notes}
@@ -313,8 +313,8 @@ def _provenance(entries: Iterable[PolicyResults]) -> Table:
             rows.append((entry.title, command, NOT_RUN, "", ""))
         for result in entry.results:
             hashes = ", ".join(
-                f"{name} `{told['sha256'][:12]}`{_LIMITED * bool(told.get('ended'))}"
-                for name, told in result.about["weights"].items()
+                f"{name} `{file['sha256'][:12]}`{_LIMITED * bool(file.get('ended'))}"
+                for name, file in result.about["weights"].items()
             )
             seed = str(result.seed) if hashes else "none"
             rows.append(

@@ -338,18 +338,18 @@ def language(entries: Iterable[PolicyResults]) -> Table:
     """
     rows = []
     for family in _families(entries, lambda result: not starts_perturbed(result)):
-        told = {name: _where(family, language=name) for name in LANGUAGES}
+        by_language = {name: _where(family, language=name) for name in LANGUAGES}
         for kind in EVALUATION_KINDS:
-            each = [shown_mean(told[name].select(kind)) for name in LANGUAGES]
+            each = [shown_mean(by_language[name].select(kind)) for name in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
-                guesses = told["none"].select(kind)
+                guesses = by_language["none"].select(kind)
                 bare, others = (
                     shown(
                         [[c for c in g if (c.distractors == 0) is b] for g in guesses]
                     )
                     for b in (True, False)
                 )
-                held = _asked(told["swapped"], kind)
+                held = _asked(by_language["swapped"], kind)
                 rows.append((family.title, words(kind, "-"), *each, bare, others, held))
     last = ("none, no distractors", "none, others", "swapped goal")
     header = ("mean over the tasks [%]", "instructions", *LANGUAGES, *last)
@@ -360,7 +360,8 @@ def starts(entries: Iterable[PolicyResults]) -> Table:
     """Return success from perturbed starts beside that from the instances' own."""
     rows = []
     for family in _families(entries, lambda result: result.about["language"] == FULL):
-        own, moved = (_where(family, perturb_start=told) for told in (False, True))
+        own = _where(family, perturb_start=False)
+        moved = _where(family, perturb_start=True)
         for kind in EVALUATION_KINDS:
             both = shown_mean(own.select(kind)), shown_mean(moved.select(kind))
             if both[1] != NOTHING:
@@ -390,7 +391,7 @@ def _where(family: PolicyResults, **about: object) -> PolicyResults:
     kept = (
         result
         for result in family.results
-        if all(result.about.get(name, False) == told for name, told in about.items())
+        if all(result.about.get(name, False) == value for name, value in about.items())
     )
     return PolicyResults(family.title, tuple(kept))
 

@@ -147,11 +147,13 @@ class EvaluationConfig:
 
     def about(self) -> dict[str, Any]:
         """Return what decides the result."""
-        told = [getattr(planner, "about", None) for planner in self.policy.planners()]
+        planners = [
+            getattr(planner, "about", None) for planner in self.policy.planners()
+        ]
         suites = quote_suites(self.tasks) if self.instance is None else {}
         return {
             "policy": self.policy.about(),
-            **({"planners": told} if any(told) else {}),
+            **({"planners": planners} if any(planners) else {}),
             "oracle": self.policy.oracle,
             "weights": weights_of(self.policy),
             "served": served_parts(self.policy),
@@ -180,7 +182,7 @@ class EvaluationConfig:
         """
         policy = self.policy
         kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
-        told = [f"{name}={value}" for name, value in policy.arguments]
+        arguments = [f"{name}={value}" for name, value in policy.arguments]
         own = self.instance is not None
         wanted = (
             ("--split", self.split, not own),
@@ -188,7 +190,7 @@ class EvaluationConfig:
             ("--tasks", ",".join(self.tasks), not own and self.tasks != SUITE),
             ("--episodes", str(self.episodes), self.episodes is not None),
             ("--level", policy.level, bool(policy.level)),
-            ("--policy-args", ",".join(told), bool(told)),
+            ("--policy-args", ",".join(arguments), bool(arguments)),
             ("--planning", policy.planning, policy.planning != PLANNINGS[0]),
             ("--gta", "", policy.gta),
             ("--acting", policy.acting, policy.acting != self._usual),

@@ -112,7 +112,7 @@ class ControlRollout(Rollout):
                 name: observer.rig.calibrated(scene, scene.data, name)
                 for name in observer.cameras
             }
-        given: dict[str, Any] = {
+        fields: dict[str, Any] = {
             "instruction": self.instruction,
             "robots": self._phrases,
             "observation": _copied(observation),
@@ -122,10 +122,10 @@ class ControlRollout(Rollout):
             "memory": self.memory,
         }
         if oracle:
-            return OracleControlInput(**given, env=self.env)
-        return ControlInput(**given)
+            return OracleControlInput(**fields, env=self.env)
+        return ControlInput(**fields)
 
-    def take(self, given: object, decision: Any) -> None:
+    def take(self, policy_input: object, decision: Any) -> None:
         """Carry out an answer, to its end or to that of the episode."""
         self.asked += 1
         self.memory = decision.memory

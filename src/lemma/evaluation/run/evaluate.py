@@ -40,8 +40,8 @@ from lemma.evaluation.run.control import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
-from lemma.policies.given_policy import GivenPolicy
 from lemma.policies.interfaces import keeps_state
+from lemma.policies.policy_object import PolicyObjectSpec
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.suite import load_instance
@@ -174,9 +174,9 @@ def _player(config: EvaluationConfig, kind: str) -> Player:
         if last == spec and (kind == its_kind or keeps_state(player.policy)):
             return player
         playing.clear()
-        if not isinstance(last, GivenPolicy):
+        if not isinstance(last, PolicyObjectSpec):
             hang_up(player.policy)
-    if isinstance(spec, GivenPolicy) and len(config.kinds) > 1:
+    if isinstance(spec, PolicyObjectSpec) and len(config.kinds) > 1:
         spec.renew()
     player = load_player(spec)
     if parent_process() is not None and "torch" in sys.modules:
@@ -198,7 +198,7 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
     end = rollout.verdict()
     strict = rollout.protective_stop or end
     subtasks = subtasks_of(rollout.steps)
-    taken, further = subtasks[: strict.steps], subtasks[strict.steps :]
+    strict_subtasks, further = subtasks[: strict.steps], subtasks[strict.steps :]
     asks = rollout.control.asks
     least_m = strict.clearance_m
     place = instance.task, instance.split, instance.index
@@ -220,10 +220,10 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         "idle_s": {name: round(idle, 3) for name, idle in strict.idle_s.items()},
         "coordination": {
             "expert_s": expert_s(*place, perturbed_start=moved),
-            **count_steps(taken, strict.left),
+            **count_steps(strict_subtasks, strict.left),
             "clearance_mm": round(1000.0 * least_m, 1) if least_m < inf else None,
         },
-        "subtasks": taken,
+        "subtasks": strict_subtasks,
         "left": strict.left,
         **rollout.fields(strict),
         **planning,

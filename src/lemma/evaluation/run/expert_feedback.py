@@ -87,19 +87,19 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
     Returns:
         ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
     """
-    told = [step["expert"] for step in steps]
-    lefts = [enough(each["left"]) for each in told] + [enough(left)]
-    deviations = [Deviation(each["departure"]) for each in told]
+    feedback = [step["expert"] for step in steps]
+    lefts = [enough(each["left"]) for each in feedback] + [enough(left)]
+    deviations = [Deviation(each["departure"]) for each in feedback]
     as_expert = sum(d in (Deviation.NONE, Deviation.ORDER) for d in deviations)
     return {
-        "doable": sum(each["able"] is not None for each in told),
-        "able": sum(each["able"] is True for each in told),
+        "doable": sum(each["able"] is not None for each in feedback),
+        "able": sum(each["able"] is True for each in feedback),
         "planned": as_expert + deviations.count(Deviation.ROBOT),
         "as_expert": as_expert,
         "order_violations": sum(
             deviations[i] is Deviation.ORDER
             and lefts[i + 1] >= lefts[i]
-            and (not told[i]["able"] or step["outcome"] == Outcome.SUCCESS)
+            and (not feedback[i]["able"] or step["outcome"] == Outcome.SUCCESS)
             for i, step in enumerate(steps)
         ),
     }

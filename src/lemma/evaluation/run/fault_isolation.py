@@ -79,10 +79,10 @@ class IsolatedPolicy:
             if not isinstance(answers, Fault):
                 return list(map(check, answers, inputs))
             self._one_by_one = answers.kind is FaultKind.TIMEOUT
-        alone = [self._ask([given]) for given in inputs]
+        alone = [self._ask([policy_input]) for policy_input in inputs]
         return [
-            found if isinstance(found, Fault) else check(found[0], given)
-            for found, given in zip(alone, inputs, strict=True)
+            found if isinstance(found, Fault) else check(found[0], policy_input)
+            for found, policy_input in zip(alone, inputs, strict=True)
         ]
 
     def _ask(self, inputs: Sequence[Any]) -> list[object] | Fault:
@@ -112,7 +112,7 @@ class IsolatedPolicy:
 
 
 def check(
-    answer: Any, given: PolicyInput | ControlInput
+    answer: Any, policy_input: PolicyInput | ControlInput
 ) -> Decision | Actions | Orders | Fault:
     """Return a decision in plain Python types, or what is wrong with it.
 
@@ -122,14 +122,14 @@ def check(
 
     Args:
         answer: The answer of the policy.
-        given: Its input.
+        policy_input: Its input.
     """
     try:
-        if isinstance(given, ControlInput):
+        if isinstance(policy_input, ControlInput):
             return _checked_actions(answer)
-        if isinstance(given, TeamInput):
-            return _checked_orders(answer, given)
-        return _checked_decision(answer, len(given.robots))
+        if isinstance(policy_input, TeamInput):
+            return _checked_orders(answer, policy_input)
+        return _checked_decision(answer, len(policy_input.robots))
     except PolicyFailedError as error:
         failed = isinstance(answer, Decision) and bool(answer.failed)
         effort = _effort(answer) if failed else None
@@ -140,34 +140,36 @@ def _effort(answer: Decision) -> Effort | None:
     return answer.effort if isinstance(answer.effort, Effort) else None
 
 
-def _checked_orders(answer: Any, given: TeamInput) -> Orders:
+def _checked_orders(answer: Any, team_input: TeamInput) -> Orders:
     """Return orders for free robots, one for each at most."""
     try:
         found = orders_of(answer)
     except TypeError as error:
         raise _malformed(f"The policy's {error}") from error
-    decisions = [_checked_decision(one, len(given.robots)) for one in found.decisions]
-    free = set(given.free)
+    decisions = [
+        _checked_decision(one, len(team_input.robots)) for one in found.decisions
+    ]
+    free = set(team_input.free)
     for decision in decisions:
         if not decision.stops and decision.subtask.robot not in free:
             raise _malformed(
                 f"The policy orders {decision.subtask}, and {decision.subtask.robot} "
                 "is busy or was ordered something in the same answer. Free are: "
-                f"{', '.join(given.free) or 'none'}"
+                f"{', '.join(team_input.free) or 'none'}"
             )
         free.discard(decision.subtask.robot)
-    messages = [_message(one, given) for one in found.messages]
+    messages = [_message(one, team_input) for one in found.messages]
     efforts = [one for one in found.efforts if isinstance(one, Effort)]
     return Orders(tuple(decisions), tuple(messages), tuple(efforts))
 
 
-def _message(message: object, given: TeamInput) -> Message:
+def _message(message: object, team_input: TeamInput) -> Message:
     if not isinstance(message, Message) or not isinstance(message.text, str):
         raise _malformed(f"A message is a {type(message).__name__}, no Message")
     if len(message.text) > LONGEST_MESSAGE:
         raise _malformed(f"A message is longer than {LONGEST_MESSAGE} characters")
-    _check_name("robot", message.robot, robot_names(len(given.robots)))
-    return Message(message.robot, message.text, given.time_s)
+    _check_name("robot", message.robot, robot_names(len(team_input.robots)))
+    return Message(message.robot, message.text, team_input.time_s)
 
 
 def _checked_actions(answer: Any) -> Actions:

@@ -153,9 +153,9 @@ def ask_model_server(
     return server
 
 
-def _names(told: Any) -> tuple[str, ...]:
+def _names(names: Any) -> tuple[str, ...]:
     """Return several names, also of a command line, where ``+`` is between them."""
-    return tuple(told.split("+") if isinstance(told, str) else told)
+    return tuple(names.split("+") if isinstance(names, str) else names)
 
 
 Weights = dict[str, dict[str, Any]]
@@ -182,8 +182,9 @@ def weights_of(spec: PolicySpec) -> Weights:
     checkpoint = checkpoint_of(spec.name)
     if checkpoint is not None:
         return _lerobot_weights(checkpoint)
-    eyes = (getattr(planner, "weights", ()) for planner in spec.planners())
-    parts = dict.fromkeys([*learned_parts(spec.name), *(w for e in eyes for w in e)])
+    parts = dict.fromkeys(learned_parts(spec.name))
+    for planner in spec.planners():
+        parts |= dict.fromkeys(getattr(planner, "weights", ()))
     return dict(_weights_in(_find(part)) for part in parts)
 
 

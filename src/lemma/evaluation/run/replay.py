@@ -54,9 +54,9 @@ def play_again(
             if rollout.is_over(strict=lenient is None):
                 break
             watch(rollout.episode, number)
-            given = rollout.policy_input(None)
+            policy_input = rollout.policy_input(None)
             # No evaluation wrote what is no decision: the policy would have failed.
-            rollout.carry_out(given, check(decision_of(step), given))
+            rollout.carry_out(policy_input, check(decision_of(step), policy_input))
     fault = (lenient or row)["policy_error"]
     if not rollout.is_over(strict=lenient is None):
         if fault is None:
@@ -71,11 +71,11 @@ def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollou
     """Return the episode of a line at its beginning."""
     kind, together = row["instruction_kind"], row.get("together")
     control = control_of(about.get("language", FULL), instance, kind)
-    told = (instance, kind, about["horizon_s"], control)
+    arguments = (instance, kind, about["horizon_s"], control)
     if together is None:
-        rollout = Rollout(*told)
+        rollout = Rollout(*arguments)
     else:
-        rollout = TeamRollout(*told, expert_poses=together["expert_poses"])
+        rollout = TeamRollout(*arguments, expert_poses=together["expert_poses"])
     if about.get("disturb"):
         disturb(rollout.episode, about["disturb"])
     return rollout
@@ -95,8 +95,8 @@ def _order_again(
         if rollout.is_over(strict=strict):
             break
         watch(rollout.episode, len(rollout.steps))
-        given = rollout.policy_input(None)
-        rollout.carry_out(given, check(orders.get(number, []), given))
+        policy_input = rollout.policy_input(None)
+        rollout.carry_out(policy_input, check(orders.get(number, []), policy_input))
     return len(rollout.steps)
 
 
@@ -118,7 +118,7 @@ def differences(row: Row, again: Row, *, strictly: bool = False) -> Iterator[str
     """
     skipped = {"lenient"} if strictly else set()
     said, found = (
-        {name: told for name, told in line.items() if name not in skipped}
+        {name: value for name, value in line.items() if name not in skipped}
         for line in (row, again)
     )
     for place, (one, other) in _unequal(said, found, ""):

@@ -55,7 +55,7 @@ BLIND = View(
 
 
 @dataclass(frozen=True, slots=True)
-class TakenStep:
+class StepRecord:
     """One sub-task that a policy decided on, and how it went."""
 
     subtask: SubTask
@@ -116,7 +116,7 @@ class Rollout:
     horizon_s: float = HORIZON_S
     control: LanguageControl = OWN_SENTENCE
     """Sentence given instead of that instruction."""
-    steps: list[TakenStep] = field(default_factory=list)
+    steps: list[StepRecord] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
     efforts: list[Effort] = field(default_factory=list)
     """Effort of each decision, if the policy counts it."""
@@ -220,10 +220,10 @@ class Rollout:
         view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
-        given = (self.instruction, self._phrases, view, tuple(self.past))
+        fields = (self.instruction, self._phrases, view, tuple(self.past))
         if is_oracle(policy):
-            return OracleInput(*given, episode=self.episode)
-        return PolicyInput(*given)
+            return OracleInput(*fields, episode=self.episode)
+        return PolicyInput(*fields)
 
     def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does.
@@ -243,21 +243,21 @@ class Rollout:
         self.efforts += [fault.effort] if fault.effort else []
         self.episode.stop()
 
-    def carry_out(self, given: Any, decision: Any) -> TakenStep | None:
+    def carry_out(self, policy_input: Any, decision: Any) -> StepRecord | None:
         """Carry out a decision, or end the episode for a fault; None if it is over."""
         if isinstance(decision, Fault):
             self.fail(decision)
             return None
         before = self.episode.snapshot()
         try:
-            return self.take(given, decision)
+            return self.take(policy_input, decision)
         except PhysicsError as error:
             # Judge the state before physics failed.
             self.episode.restore(before)
             self.fail(Fault(FaultKind.UNSTABLE, str(error)))
             return None
 
-    def take(self, given: PolicyInput, decision: Decision) -> TakenStep | None:
+    def take(self, policy_input: PolicyInput, decision: Decision) -> StepRecord | None:
         """Carry out a decision; None if it was to stop.
 
         Raises:
@@ -276,7 +276,7 @@ class Rollout:
         else:
             result = episode.execute(decision.grounded)
         fell = tuple(name for name in episode.fallen if name not in lost)
-        step = TakenStep(
+        step = StepRecord(
             decision.subtask, decision.grounded, result, start, advice, fell
         )
         self.steps.append(step)
@@ -287,7 +287,7 @@ class Rollout:
         episode.linger(start, REFUSAL_S if result.refused else LEAST_STEP_S)
         self.past.append(
             PastStep(
-                given.view,
+                policy_input.view,
                 decision.subtask,
                 str(result.outcome),
                 "" if result.ok else result.explanation,
@@ -329,7 +329,7 @@ def roll_out(
     rollouts: Iterable[Rollout],
     player: Player,
     at_once: int = 8,
-    on_step: Callable[[Rollout, TakenStep], None] | None = None,
+    on_step: Callable[[Rollout, StepRecord], None] | None = None,
     *,
     lenient: bool = True,
 ) -> Iterator[Rollout]:
@@ -359,9 +359,11 @@ def roll_out(
         while running:
             inputs = [player.policy_input(one) for one in running]
             decisions = guard.decide(inputs)
-            for one, given, decision in zip(running, inputs, decisions, strict=True):
+            for one, policy_input, decision in zip(
+                running, inputs, decisions, strict=True
+            ):
                 before = len(one.steps)
-                one.carry_out(given, decision)
+                one.carry_out(policy_input, decision)
                 if on_step is not None:
                     for step in one.steps[before:]:
                         on_step(one, step)
@@ -378,7 +380,7 @@ def roll_out(
     yield from to_the_end(stopped, strict=False)
 
 
-def subtasks_of(steps: Sequence[TakenStep]) -> list[dict[str, object]]:
+def subtasks_of(steps: Sequence[StepRecord]) -> list[dict[str, object]]:
     """Return steps as plain data, ready for JSON."""
     return [
         {

@@ -106,20 +106,20 @@ def check_server(url: str, arguments: tuple[tuple[str, Any], ...] = ()) -> Serve
 def _check_decision(part: Any) -> ServerCheck:
     """Ask a policy, planner or grounder for its first decision in the known scene."""
     play = Rollout(load_instance(*SCENE))
-    given = play.policy_input(CameraRig())
+    policy_input = play.policy_input(CameraRig())
     subtask, grounded = first_subtask(), None
     if hasattr(part, "act"):
-        [decision] = part.act([given])
+        [decision] = part.act([policy_input])
         subtask, grounded = decision.subtask, decision.grounded
     else:
         if hasattr(part, "plan"):
-            [subtask] = part.plan([given])
+            [subtask] = part.plan([policy_input])
         if hasattr(part, "ground") and subtask.robot:
-            [grounded] = part.ground([given], [subtask])
+            [grounded] = part.ground([policy_input], [subtask])
     poses = None if grounded is None else grounded.to_dict()
     answer = {"subtask": subtask, "grounded": poses}
     found = _decision_mistakes(play, subtask, grounded)
-    return ServerCheck(given.instruction, answer, found)
+    return ServerCheck(policy_input.instruction, answer, found)
 
 
 def _decision_mistakes(
@@ -170,8 +170,8 @@ def check_control(policy: Any) -> ServerCheck:
     rollout = player.begin(load_instance(*SCENE), "high_level")
     assert isinstance(rollout, ControlRollout)
     robot, cube = _set_out(rollout.env)
-    given = player.policy_input(rollout)
-    [answer] = IsolatedPolicy(policy).decide([given])
+    control_input = player.policy_input(rollout)
+    [answer] = IsolatedPolicy(policy).decide([control_input])
     if isinstance(answer, Fault):
         raise PolicyFailedError(answer.kind, answer.explanation)
     layout = rollout.env.action_layout
@@ -185,7 +185,7 @@ def check_control(policy: Any) -> ServerCheck:
         for name, value in zip(names, rows.ravel().tolist(), strict=True)
     }
     found = mistakes(rollout.env, rows, robot, cube)
-    return ServerCheck(given.instruction, {"action": action}, found)
+    return ServerCheck(control_input.instruction, {"action": action}, found)
 
 
 def _set_out(env: ControlEnv) -> tuple[int, str]:

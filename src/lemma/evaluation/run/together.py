@@ -32,7 +32,7 @@ from lemma.evaluation.run.rollout import (
     BLIND,
     Player,
     Rollout,
-    TakenStep,
+    StepRecord,
     Verdict,
     subtasks_of,
 )
@@ -54,7 +54,7 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 
 @dataclass(frozen=True, slots=True)
-class TeamStep(TakenStep):
+class TeamStep(StepRecord):
     """One order that has ended."""
 
     waited_s: float = 0.0
@@ -69,8 +69,8 @@ class TeamStep(TakenStep):
 
 
 @dataclass(frozen=True, slots=True)
-class _Given:
-    """An order, as it was given."""
+class _OrderRecord:
+    """An order of the policy, as lines keep it."""
 
     asked: int
     subtask: SubTask
@@ -97,7 +97,7 @@ class TeamRollout(Rollout):
     """Whether the expert grounds the orders, when they begin."""
     asked: int = 0
     """How many answers were carried out; ``stop`` is none of them."""
-    orders: list[_Given] = field(default_factory=list)
+    orders: list[_OrderRecord] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
     notes: dict[str, _Note] = field(default_factory=dict)
     """Of orders under way, by robot, oldest first."""
@@ -120,8 +120,8 @@ class TeamRollout(Rollout):
                 own[name] = rig.capture(scene, cameras=cameras, robots=(name,))
             view = view if own else rig.capture(scene, cameras=cameras)
         waits = self.team.waits_for
-        given = (self.instruction, self._phrases, view, tuple(self.past))
-        told: dict[str, Any] = {
+        common = (self.instruction, self._phrases, view, tuple(self.past))
+        team_fields: dict[str, Any] = {
             "time_s": self.episode.elapsed_s,
             "free": free,
             "doing": {
@@ -132,10 +132,12 @@ class TeamRollout(Rollout):
             "own_views": own,
         }
         if is_oracle(policy):
-            return TeamOracleInput(*given, **told, episode=self.episode, team=self.team)
-        return TeamInput(*given, **told)
+            return TeamOracleInput(
+                *common, **team_fields, episode=self.episode, team=self.team
+            )
+        return TeamInput(*common, **team_fields)
 
-    def carry_out(self, given: Any, decision: Any) -> None:
+    def carry_out(self, policy_input: Any, decision: Any) -> None:
         """Carry out an answer, or end the episode for a fault."""
         if isinstance(decision, Fault):
             self.fail(decision)
@@ -144,7 +146,7 @@ class TeamRollout(Rollout):
         lists: tuple[list[Any], ...] = (self.steps, self.past, self.orders)
         lengths, asked = [len(each) for each in lists], self.asked
         try:
-            self.take(given, decision)
+            self.take(policy_input, decision)
         except PhysicsError as error:
             # Judge the state before physics failed.
             self.episode.restore(before[0])
@@ -154,7 +156,7 @@ class TeamRollout(Rollout):
             self.asked = asked
             self.fail(Fault(FaultKind.UNSTABLE, str(error)))
 
-    def take(self, given: Any, decision: Any) -> None:
+    def take(self, policy_input: Any, decision: Any) -> None:
         """Give orders, and let time pass to the next decision.
 
         Raises:
@@ -169,16 +171,16 @@ class TeamRollout(Rollout):
             return
         self.asked += 1
         for one in orders.decisions:
-            self._order(given, one)
+            self._order(policy_input, one)
         self._note(self.team.advance())
 
-    def _order(self, given: TeamInput, decision: Decision) -> None:
+    def _order(self, team_input: TeamInput, decision: Decision) -> None:
         subtask, robot = decision.subtask, decision.subtask.robot
         poses = None if self.expert_poses else decision.grounded
-        self.orders.append(_Given(self.asked - 1, subtask, poses))
+        self.orders.append(_OrderRecord(self.asked - 1, subtask, poses))
         self.notes[robot] = _Note(
             subtask,
-            given.own_views.get(robot, given.view),
+            team_input.own_views.get(robot, team_input.view),
             self.episode.elapsed_s,
             advise(self.episode, decision, self._expected()),
             self.episode.fallen,

@@ -154,8 +154,8 @@ class HandlingWatch:
             before, now = self._held.get(robot), held.get(robot)
             for name, event in ((before, "released"), (now, "grasped")):
                 if name is not None and before != now:
-                    told = {"robot": robot, "event": event, "object": name}
-                    self._events.append({"time_s": time_s, **told})
+                    fields = {"robot": robot, "event": event, "object": name}
+                    self._events.append({"time_s": time_s, **fields})
         self._held = dict(held)
 
     def fields(self) -> dict[str, Any]:

@@ -52,5 +52,5 @@ def starts(
     opening = torch.where(closed, GRASPED_M, FINGER_OPENING_M)
     asked = torch.where(closed, GRASPED_M - GRIP_M, FINGER_OPENING_M)
     radius = torch.linalg.vector_norm(spot[..., :2] - base[..., :2], dim=-1)
-    possible = (radius >= arms.ring[:, 0]) & (radius <= arms.ring[:, 1])
+    possible = (radius >= arms.radii[:, 0]) & (radius <= arms.radii[:, 1])
     return q, opening, asked, possible

@@ -61,7 +61,7 @@ class Arms:
 
     dh: Tensor
     """(robots, 6) [m]."""
-    ring: Tensor
+    radii: Tensor
     """Nearest and farthest from the base that a hand is sent, (robots, 2) [m]."""
     park: Tensor
     """Where arms wait, (robots, 6) [rad]."""
@@ -74,19 +74,19 @@ class Arms:
         dh = torch.tensor(np.array([ARMS[name].dh for name in names]))
         park = torch.tensor([park_joints(name) for name in names])
         reach = [reach_of(name) for name in names]
-        ring = torch.tensor([(one.inner_m + 0.02, one.grasp_m) for one in reach])
+        radii = torch.tensor([(one.inner_m + 0.02, one.grasp_m) for one in reach])
         branch = torch.ones(len(names), 3)
         for k, name in enumerate(names):
             pose = forward(ARMS[name].dh, park[k].double().numpy())
             x, y, z = pose[:3, 3] + TCP_OFFSET_M * pose[:3, 2]
             here = [x, y, z, math.atan2(pose[1, 0], pose[0, 0])]
             signs = torch.cartesian_prod(*[torch.tensor([1.0, -1.0])] * 3)
-            arms = cls(dh[[k] * 8], ring[[k] * 8], park[[k] * 8], signs)
+            arms = cls(dh[[k] * 8], radii[[k] * 8], park[[k] * 8], signs)
             ways = joints(
                 torch.tensor(here).expand(8, 4), torch.zeros(8, 3), arms, arms.park
             )
             branch[k] = signs[(ways - park[k]).abs().amax(1).argmin()]
-        return cls(*(part.float().to(device) for part in (dh, ring, park, branch)))
+        return cls(*(part.float().to(device) for part in (dh, radii, park, branch)))
 
 
 def joints(target: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
@@ -156,7 +156,7 @@ def advance(
     wanted = here[..., :3] + lead * (LEASH_STEPS * STEP_M / length).clamp_max(1.0)
     out = wanted[..., :2] - base[..., :2]
     radius = torch.linalg.vector_norm(out, dim=-1).clamp_min(1e-6)
-    bounded = torch.minimum(torch.maximum(radius, arms.ring[:, 0]), arms.ring[:, 1])
+    bounded = torch.minimum(torch.maximum(radius, arms.radii[:, 0]), arms.radii[:, 1])
     flat = base[..., :2] + out * (bounded / radius)[..., None]
     height = wanted[..., 2:].clamp(LOWEST_M, HIGHEST_M)
     turn = wrapped(target[..., 3] + TURN_RAD * rows[..., 3] - here[..., 3])
@@ -226,7 +226,7 @@ def able(goal_state: Tensor, arms: Arms) -> Tensor:
     """
     ahead = goal_state[..., 0] + goal_state[..., _NEAR[0]]
     far = torch.hypot(ahead, goal_state[..., _NEAR[0] + 1])
-    return (far / arms.ring[:, 1]).argmin(-1)
+    return (far / arms.radii[:, 1]).argmin(-1)
 
 
 def network(
@@ -312,12 +312,12 @@ class HandPolicy:
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next action for each episode."""
-        return [self._act(given) for given in inputs]
+        return [self._act(control_input) for control_input in inputs]
 
-    def _act(self, given: ControlInput) -> Actions:
-        seen = given.observation
+    def _act(self, control_input: ControlInput) -> Actions:
+        seen, memory = control_input.observation, control_input.memory
         # A memory is never changed: an episode may be played on from it twice.
-        hand = Hand(seen) if given.memory is None else copy(given.memory)
+        hand = Hand(seen) if memory is None else copy(memory)
         # Older networks know nothing of the last numbers.
         row = self.actor(hand.look(seen)[:, : self._numbers])
         return Actions(hand.command(row), hand)

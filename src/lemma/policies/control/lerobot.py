@@ -98,7 +98,7 @@ class LeRobotPolicy:
         not on other episodes: the same batch has the same answer.
         """
         if self._one_by_one:
-            return [self._alone(given) for given in inputs]
+            return [self._alone(control_input) for control_input in inputs]
         batch = self._before(self._batch(inputs))
         with self._drawing(inputs[0].step):
             if self._queues:
@@ -108,12 +108,13 @@ class LeRobotPolicy:
         chunks = chunks[:, : self._config.n_action_steps]
         return [Actions(rows) for rows in self._rows(chunks)]
 
-    def _alone(self, given: ControlInput) -> Actions:
-        batch = self._before(self._batch([given]))
-        with self._drawing(given.step):
+    def _alone(self, control_input: ControlInput) -> Actions:
+        batch = self._before(self._batch([control_input]))
+        with self._drawing(control_input.step):
             if not self._looks_on:
                 return Actions(self._rows(self._chunks(batch))[0])
-            policy = self._fresh() if given.memory is None else given.memory
+            memory = control_input.memory
+            policy = self._fresh() if memory is None else memory
             action = policy.select_action(batch)
         return Actions(self._rows(action)[0], policy)
 
@@ -128,8 +129,8 @@ class LeRobotPolicy:
         """Return what denoising begins with: for each episode as if it were alone."""
         shape = (1, self._config.horizon, self._config.action_feature.shape[0])
         rows = []
-        for given in inputs:
-            with self._drawing(given.step):
+        for control_input in inputs:
+            with self._drawing(control_input.step):
                 rows.append(torch.randn(shape, device=self._config.device))
         return torch.cat(rows)
 
@@ -150,15 +151,15 @@ class LeRobotPolicy:
         return found
 
     def _batch(self, inputs: Sequence[ControlInput]) -> dict[str, Any]:
-        seen = [given.observation for given in inputs]
+        seen = [control_input.observation for control_input in inputs]
         state = np.stack([motor_state(self._control, each).ravel() for each in seen])
         found: dict[str, Any] = {
             OBS_STATE: torch.from_numpy(state).float(),
-            "task": [given.instruction for given in inputs],
+            "task": [control_input.instruction for control_input in inputs],
         }
         if OBS_ENV_STATE in self._config.input_features:
-            told = np.stack([self._environment_state(given) for given in inputs])
-            found[OBS_ENV_STATE] = torch.from_numpy(told)
+            env_states = np.stack([self._environment_state(one) for one in inputs])
+            found[OBS_ENV_STATE] = torch.from_numpy(env_states)
         for camera in self.control_options.get("cameras", ()):
             images = np.stack([each["pixels"][camera] for each in seen])
             found[f"{OBS_IMAGES}.{camera}"] = (
@@ -166,8 +167,8 @@ class LeRobotPolicy:
             )
         return found
 
-    def _environment_state(self, given: ControlInput) -> NDArray[np.float32]:
-        return sentence_vector(given.instruction)
+    def _environment_state(self, control_input: ControlInput) -> NDArray[np.float32]:
+        return sentence_vector(control_input.instruction)
 
     def _rows(self, actions: torch.Tensor) -> Any:
         """Return actions (..., numbers) as rows of the team, (..., 2, numbers / 2)."""
@@ -181,8 +182,8 @@ class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
     It shows what a policy can do without errors of perception and language.
     """
 
-    def _environment_state(self, given: ControlInput) -> NDArray[np.float32]:
-        return truth_vector(given.observation)
+    def _environment_state(self, control_input: ControlInput) -> NDArray[np.float32]:
+        return truth_vector(control_input.observation)
 
 
 def control_options(
@@ -200,12 +201,16 @@ def control_options(
     """
     features = {**config.input_features, **config.output_features}
     shapes = {name: tuple(feature.shape) for name, feature in features.items()}
-    eyes = [name for name in shapes if name.startswith(f"{OBS_IMAGES}.")]
-    images = {name.removeprefix(f"{OBS_IMAGES}."): shapes.pop(name) for name in eyes}
+    image_names = [name for name in shapes if name.startswith(f"{OBS_IMAGES}.")]
+    images = {
+        name.removeprefix(f"{OBS_IMAGES}."): shapes.pop(name) for name in image_names
+    }
     row = shapes.get(ACTION, ())
     plain = {OBS_STATE: row, ACTION: row}
-    told = {**plain, OBS_ENV_STATE: (len(TRUTH) if privileged else SENTENCE_NUMBERS,)}
-    if row not in _CONTROLS or shapes not in ([told] if privileged else [plain, told]):
+    env_numbers = len(TRUTH) if privileged else SENTENCE_NUMBERS
+    with_env_state = {**plain, OBS_ENV_STATE: (env_numbers,)}
+    allowed = [with_env_state] if privileged else [plain, with_env_state]
+    if row not in _CONTROLS or shapes not in allowed:
         counts = " or ".join(str(count) for (count,) in _CONTROLS)
         raise InvalidConfigError(
             f"The policy has {shapes} beside its images. Valid: {OBS_STATE} and "

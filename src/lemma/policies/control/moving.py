@@ -44,14 +44,14 @@ class Moving:
     """Of the grippers [m], (robots,)."""
 
     @classmethod
-    def of(cls, given: ControlInput, progress: Progress | None) -> "Moving":
+    def of(cls, control_input: ControlInput, progress: Progress | None) -> "Moving":
         """Go on with a motion.
 
         Args:
-            given: Input of a policy.
+            control_input: Input of a policy.
             progress: Progress so far; None at the beginning of an episode.
         """
-        seen = given.observation
+        seen = control_input.observation
         hands, bases = pose_matrices(seen["tcp_pose"]), pose_matrices(seen["base_pose"])
         openings = np.asarray(seen["agent_pos"], float).reshape(len(hands), 7)[:, 6]
         if progress is None:

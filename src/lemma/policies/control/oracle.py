@@ -40,10 +40,10 @@ class ExpertControl(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        return [self._act(given) for given in inputs]
+        return [self._act(control_input) for control_input in inputs]
 
-    def _act(self, given: ControlInput) -> Actions:
-        motion = given.memory or JointMotion(_told(given).env)
+    def _act(self, control_input: ControlInput) -> Actions:
+        motion = control_input.memory or JointMotion(_oracle_input(control_input).env)
         return Actions(motion.next_chunk(), motion)
 
 
@@ -73,11 +73,11 @@ class ExpertKeyPoses(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        return [self._act(given) for given in inputs]
+        return [self._act(control_input) for control_input in inputs]
 
-    def _act(self, given: ControlInput) -> Actions:
-        episode, memory = _told(given).env.episode, given.memory
-        moving = Moving.of(given, memory and memory.progress)
+    def _act(self, control_input: ControlInput) -> Actions:
+        episode, memory = _oracle_input(control_input).env.episode, control_input.memory
+        moving = Moving.of(control_input, memory and memory.progress)
         ahead = memory.ahead if memory else ()
         if moving.rows is None:
             if not (ahead and moving.holds(ahead[0].robot)):
@@ -87,7 +87,7 @@ class ExpertKeyPoses(Oracle):
         return moving.actions(_Memory(moving.progress, ahead))
 
 
-def _told(given: ControlInput) -> OracleControlInput:
-    if not isinstance(given, OracleControlInput):
+def _oracle_input(control_input: ControlInput) -> OracleControlInput:
+    if not isinstance(control_input, OracleControlInput):
         raise InvalidConfigError("The expert is given no truth, but needs it.")
-    return given
+    return control_input

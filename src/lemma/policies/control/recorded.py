@@ -38,4 +38,4 @@ class Recorded:
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next command of each episode."""
         rows = self._rows
-        return [Actions(rows[min(given.step, len(rows) - 1)]) for given in inputs]
+        return [Actions(rows[min(one.step, len(rows) - 1)]) for one in inputs]

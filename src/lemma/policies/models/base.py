@@ -92,9 +92,9 @@ class MapConfig:
     floor_m: Height = RASTER.floor_m
     """Lowest height of the map [m]."""
 
-    def raster(self, given: PolicyInput) -> Raster:
+    def raster(self, policy_input: PolicyInput) -> Raster:
         """Return where the cells of a view are."""
-        rows, columns = given.view.height_m.shape
+        rows, columns = policy_input.view.height_m.shape
         return Raster(rows, columns, self.cell_m, self.floor_m)
 
 
@@ -130,8 +130,8 @@ class MapModel(Model):
         for start in range(0, len(inputs), self.at_once):
             rows = slice(start, start + self.at_once)
             raster = self.config.raster(inputs[start])
-            told = sub_instructions[rows]
-            yield batch_of(inputs[rows], raster, told, self.device, self.entities)
+            texts = sub_instructions[rows]
+            yield batch_of(inputs[rows], raster, texts, self.device, self.entities)
 
 
 def subtask_of(numbers: Sequence[int], entities: EntitySet) -> SubTask:

@@ -200,12 +200,12 @@ def layout_of_inputs(
     views: dict[View, int] = {}
     episodes, slots, shown = [], [], []
     actions = torch.full((len(inputs), MAX_PAST, 4), NOBODY)
-    for number, given in enumerate(inputs):
-        steps = given.past[-MAX_PAST:]
+    for number, policy_input in enumerate(inputs):
+        steps = policy_input.past[-MAX_PAST:]
         for slot, step in enumerate(steps):
             numbers = decision_numbers(step.subtask.to_dict(), entities)
             actions[number, slot] = torch.tensor(numbers)
-        seen = [*(step.view for step in steps), given.view]
+        seen = [*(step.view for step in steps), policy_input.view]
         for slot, view in enumerate(seen):
             episodes.append(number)
             slots.append(slot)
@@ -214,7 +214,7 @@ def layout_of_inputs(
         episode=torch.tensor(episodes, device=device),
         slot=torch.tensor(slots, device=device),
         actions=actions.to(device),
-        instructions=[given.instruction for given in inputs],
+        instructions=[policy_input.instruction for policy_input in inputs],
         foreseeable=torch.ones(len(inputs), dtype=torch.bool, device=device),
     )
     return layout, list(views), torch.tensor(shown, device=device)
@@ -335,7 +335,9 @@ class EpisodicTransformer(MapModel):
         # The present is the last frame of each episode.
         present = torch.cumsum(torch.bincount(layout.episode), 0) - 1
         scores = [part[present] for part in scores]
-        robots = torch.tensor([len(given.robots) for given in inputs], device=device)
+        robots = torch.tensor(
+            [len(policy_input.robots) for policy_input in inputs], device=device
+        )
         absent = torch.arange(self.config.robots, device=device) >= robots[:, None]
         return [scores[0].masked_fill(absent, -torch.inf), *scores[1:]]
 

@@ -119,7 +119,7 @@ class _Seen:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _CellPredictions:
     """Predictions for some cells, (B, K, ...), float32."""
 
     offsets: Tensor
@@ -183,8 +183,8 @@ class KeyPoseModel(MapModel):
 
     def look(self, batch: Batch) -> _Seen:
         """Look at a table with a sentence in mind."""
-        told = batch.text_tensors or self.text_tensors(batch)
-        words = Sentences(*told["words"])
+        tensors = batch.text_tensors or self.text_tensors(batch)
+        words = Sentences(*tensors["words"])
         sentence = F.layer_norm(self.text.pooled(words), (self.config.text_width,))
         vector = torch.cat([sentence, self.state(_state_of(batch))], 1)
         image = image_of(batch).contiguous(memory_format=torch.channels_last)
@@ -193,7 +193,7 @@ class KeyPoseModel(MapModel):
         known = torch.cat([context, vector.to(context.dtype)], 1)
         return _Seen(maps.flatten(1).float(), features, known)
 
-    def at(self, seen: _Seen, numbers: Tensor, raster: Raster) -> _Told:
+    def at(self, seen: _Seen, numbers: Tensor, raster: Raster) -> _CellPredictions:
         """Say more about some cells, (B, K)."""
         columns = cells_of(raster).columns
         row, column = numbers // columns, numbers % columns
@@ -204,7 +204,7 @@ class KeyPoseModel(MapModel):
         vector = seen.vector[:, None].expand(-1, numbers.shape[1], -1)
         parts = [features, which, vector.to(features.dtype)]
         found = self.read(torch.cat(parts, -1)).float()
-        return _Told(*found.split(self._outputs, -1))
+        return _CellPredictions(*found.split(self._outputs, -1))
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the losses of the cell, and of what is said there."""
@@ -213,13 +213,13 @@ class KeyPoseModel(MapModel):
         cells = cells_of(batch.raster)
         numbers = cells.holding(pose[:, :2])
         near = cells.around(numbers)
-        told = self.at(seen, near, batch.raster)
+        predicted = self.at(seen, near, batch.raster)
         wanted = cells.offsets(pose[:, None, :2], near)
         both, rests = nearest_bins(pose[:, 2], self.config.bins)
         count = near.shape[1]
         index = both[:, None].expand(-1, count, -1)
-        residuals = told.residuals.gather(2, index)
-        height = (height_m / _HEIGHT_UNIT_M)[:, None, None].expand_as(told.height)
+        residuals = predicted.residuals.gather(2, index)
+        height = (height_m / _HEIGHT_UNIT_M)[:, None, None].expand_as(predicted.height)
 
         def choice(logits: Tensor, right: Tensor) -> Tensor:
             each = right[:, None].expand(-1, count)
@@ -227,14 +227,14 @@ class KeyPoseModel(MapModel):
 
         return {
             "cell": F.cross_entropy(seen.logits, numbers),
-            "offset": F.smooth_l1_loss(told.offsets, wanted, beta=0.5),
-            "height": F.smooth_l1_loss(told.height, height, beta=0.1),
-            "yaw": _YAW_WEIGHT * choice(told.yaws, both[:, 0]),
+            "offset": F.smooth_l1_loss(predicted.offsets, wanted, beta=0.5),
+            "height": F.smooth_l1_loss(predicted.height, height, beta=0.1),
+            "yaw": _YAW_WEIGHT * choice(predicted.yaws, both[:, 0]),
             "residual": F.smooth_l1_loss(
                 residuals, rests[:, None].expand_as(residuals)
             ),
-            "robot": choice(told.robots, robot),
-            "kind": choice(told.kinds, kind),
+            "robot": choice(predicted.robots, robot),
+            "kind": choice(predicted.kinds, kind),
         }
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
@@ -272,33 +272,37 @@ class KeyPoseModel(MapModel):
         """Return poses (B, 3), kinds (B,), heights (B,) [m] and robots (B,)."""
         seen = self.look(batch)
         numbers = seen.logits.argmax(1, keepdim=True)
-        told = self.at(seen, numbers, batch.raster)
-        xy = cells_of(batch.raster).positions(numbers, told.offsets)
-        best = told.yaws.argmax(-1, keepdim=True)
-        yaw = yaw_of(best, told.residuals.gather(-1, best), self.config.bins)
+        predicted = self.at(seen, numbers, batch.raster)
+        xy = cells_of(batch.raster).positions(numbers, predicted.offsets)
+        best = predicted.yaws.argmax(-1, keepdim=True)
+        yaw = yaw_of(best, predicted.residuals.gather(-1, best), self.config.bins)
         return (
             torch.cat([xy, yaw], -1)[:, 0],
-            told.kinds[:, 0].argmax(-1),
-            told.height[:, 0, 0] * _HEIGHT_UNIT_M,
-            told.robots[:, 0].argmax(-1),
+            predicted.kinds[:, 0].argmax(-1),
+            predicted.height[:, 0, 0] * _HEIGHT_UNIT_M,
+            predicted.robots[:, 0].argmax(-1),
         )
 
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next waypoints of each episode."""
-        moving = [Moving.of(given, given.memory) for given in inputs]
+        moving = [
+            Moving.of(control_input, control_input.memory) for control_input in inputs
+        ]
         resting = [i for i, one in enumerate(moving) if one.rows is None]
         with self.deciding():
             for start in range(0, len(resting), self.at_once):
                 rows = resting[start : start + self.at_once]
                 found = self.decide(self._batch([inputs[i] for i in rows]))
-                told = zip(*(part.tolist() for part in found), strict=True)
-                for i, ((x, y, yaw), kind, z, robot) in zip(rows, told, strict=True):
+                predictions = zip(*(part.tolist() for part in found), strict=True)
+                for i, ((x, y, yaw), kind, z, robot) in zip(
+                    rows, predictions, strict=True
+                ):
                     key = KeyPose(robot, KINDS[kind], x, y, z, yaw)
                     moving[i] = moving[i].towards(key)
         return [one.actions(one.progress) for one in moving]
 
     def _batch(self, inputs: Sequence[ControlInput]) -> Batch:
-        seen = [given.observation for given in inputs]
+        seen = [control_input.observation for control_input in inputs]
 
         def stacked(values: list[Any], dtype: torch.dtype) -> Tensor:
             return torch.from_numpy(np.stack(values)).to(self.device, dtype)
@@ -316,7 +320,7 @@ class KeyPoseModel(MapModel):
             joints=joints[..., :6],
             opening_m=joints[..., 6],
             past=past,
-            instructions=[given.instruction for given in inputs],
+            instructions=[control_input.instruction for control_input in inputs],
             sub_instructions=[],
             raster=Raster(rows, columns, self.config.cell_m, self.config.floor_m),
         )

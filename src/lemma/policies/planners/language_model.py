@@ -188,24 +188,26 @@ class LanguageModelPlanner(Composite):
         with ThreadPoolExecutor(min(self._options.concurrency, len(inputs))) as pool:
             return list(pool.map(self._decide, inputs, scenes))
 
-    def _decide(self, given: PolicyInput, scene: SceneText) -> Decision:
+    def _decide(self, policy_input: PolicyInput, scene: SceneText) -> Decision:
         tally = _Tally()
         try:
-            subtask = self._ask_team(given, scene, tally)
+            subtask = self._ask_team(policy_input, scene, tally)
             return Decision(subtask, None, effort=tally.effort())
         except _GaveUpError as error:
             return Decision(
                 STOP, None, str(error), failed=error.kind, effort=tally.effort()
             )
 
-    def _ask_team(self, given: PolicyInput, scene: SceneText, tally: _Tally) -> SubTask:
+    def _ask_team(
+        self, policy_input: PolicyInput, scene: SceneText, tally: _Tally
+    ) -> SubTask:
         """Ask the one planner, or one robot after the other until one does something.
 
         Robots take turns in being asked first.
         """
-        team = robot_names(len(given.robots))
+        team = robot_names(len(policy_input.robots))
         names = tuple(thing.name for thing in scene.objects)
-        first = len(given.past) % len(team)
+        first = len(policy_input.past) % len(team)
         speakers: tuple[str, ...] = ("",)
         if self._options.team == "each":
             speakers = (*team[first:], *team[:first])
@@ -214,23 +216,23 @@ class LanguageModelPlanner(Composite):
             waits = robot != speakers[-1]
             own = (robot,) if robot else team
             answers = AnswerFormat(own, names, talks=bool(robot), may_wait=waits)
-            text = question(given, scene, robot, messages)
-            said = self._converse(given, answers, text, tally)
+            text = question(policy_input, scene, robot, messages)
+            said = self._converse(policy_input, answers, text, tally)
             if said.subtask is not None:
                 return said.subtask
             messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
         raise AssertionError("the last one cannot wait")
 
     def _converse(
-        self, given: PolicyInput, answers: AnswerFormat, text: str, tally: _Tally
+        self, policy_input: PolicyInput, answers: AnswerFormat, text: str, tally: _Tally
     ) -> Answer:
         """Ask until an answer is valid.
 
         Raises:
             _GaveUpError: None was, or the server gave none.
         """
-        shown = pictures(given) if self.cameras else []
-        messages = messages_of(system_prompt(given, answers), text, shown)
+        shown = pictures(policy_input) if self.cameras else []
+        messages = messages_of(system_prompt(policy_input, answers), text, shown)
         reason = ""
         for _ in range(self._options.tries):
             reply = self._asker.ask(self._request(messages, answers))

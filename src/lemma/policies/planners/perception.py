@@ -85,15 +85,15 @@ class TruthPerception(Oracle):
         Raises:
             InvalidConfigError: The inputs come without the truth.
         """
-        return [self._look(given) for given in inputs]
+        return [self._look(policy_input) for policy_input in inputs]
 
-    def _look(self, given: PolicyInput) -> SceneText:
-        scene = truth_of(given).simulation.scene
+    def _look(self, policy_input: PolicyInput) -> SceneText:
+        scene = truth_of(policy_input).simulation.scene
         now, spec = SymbolicState.observe(scene), scene.spec
         geometry = GeometricGrounder(spec)
         robots = []
         for name, phrase, placed in zip(
-            spec.robot_names, given.robots, spec.robots, strict=True
+            spec.robot_names, policy_input.robots, spec.robots, strict=True
         ):
             reach = reach_of(placed.arm)
             radii = reach.inner_m, reach.travel_m
@@ -132,13 +132,13 @@ class SeenPerception:
         Args:
             model: The model that sees; the published one if None.
         """
-        self._given = model
+        self._model = model
 
     @cached_property
     def model(self) -> "ReachNet":
         """The model that sees."""
-        if self._given is not None:
-            return self._given
+        if self._model is not None:
+            return self._model
         # torch is an extra, which other planners do without.
         from lemma.policies.models.reachnet.model import ReachNet  # noqa: PLC0415
         from lemma.policies.weights import load_model  # noqa: PLC0415
@@ -149,20 +149,22 @@ class SeenPerception:
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
         """Return the table of each episode."""
-        return [self._look(given) for given in inputs]
+        return [self._look(policy_input) for policy_input in inputs]
 
-    def _look(self, given: PolicyInput) -> SceneText:
-        now = self._table(given)
-        names = robot_names(len(given.robots))
+    def _look(self, policy_input: PolicyInput) -> SceneText:
+        now = self._table(policy_input)
+        names = robot_names(len(policy_input.robots))
         robots = []
-        for number, (name, phrase) in enumerate(zip(names, given.robots, strict=True)):
+        for number, (name, phrase) in enumerate(
+            zip(names, policy_input.robots, strict=True)
+        ):
             x, y = map(_metres, now.bases[0, number].tolist())
-            inner, outer, _ = map(_metres, now.rings[0, number].tolist())
+            inner, outer, _ = map(_metres, now.radii[0, number].tolist())
             robots.append(RobotText(name, phrase, x, y, (inner, outer)))
-        objects = _objects(now, names, given)
-        if given.past:
+        objects = _objects(now, names, policy_input)
+        if policy_input.past:
             seen = {thing.name for thing in objects}
-            first = replace(given, view=given.past[0].view, past=())
+            first = replace(policy_input, view=policy_input.past[0].view, past=())
             objects += [
                 replace(thing, state="hidden now; it was there at first")
                 for thing in _objects(self._table(first), names, first)
@@ -170,7 +172,7 @@ class SeenPerception:
             ]
         return SceneText(tuple(robots), tuple(objects))
 
-    def _table(self, given: PolicyInput) -> "SceneTable":
+    def _table(self, policy_input: PolicyInput) -> "SceneTable":
         """Return what is seen in one view.
 
         Views are not batched: that would change last bits, and with them prompts.
@@ -178,15 +180,15 @@ class SeenPerception:
         from lemma.policies.batch import batch_of  # noqa: PLC0415
 
         model = self.model
-        raster = model.config.raster(given)
+        raster = model.config.raster(policy_input)
         with model.deciding():
-            batch = batch_of([given], raster, (), model.device, model.entities)
+            batch = batch_of([policy_input], raster, (), model.device, model.entities)
             marks, coarse = model.eye(batch)
             return model.eye.table(marks, coarse, batch)
 
 
 def _objects(
-    table: "SceneTable", names: tuple[str, ...], given: PolicyInput
+    table: "SceneTable", names: tuple[str, ...], policy_input: PolicyInput
 ) -> list[ObjectText]:
     """Return what is seen on one table."""
     traits = table.traits
@@ -203,14 +205,14 @@ def _objects(
         within = tuple(r for r, m in zip(names, margin.tolist(), strict=True) if m > 0)
         x, y = map(_metres, at.tolist())
         raised = table.top[0, number] - traits.height_m[number] > _RAISED_M
-        state = _put_on(name, given) if raised else ""
+        state = _put_on(name, policy_input) if raised else ""
         found.append(ObjectText(name, x, y, within, state))
     return found
 
 
-def _put_on(name: str, given: PolicyInput) -> str:
+def _put_on(name: str, policy_input: PolicyInput) -> str:
     """Return the support of an object that is too high to lie on the table."""
-    for step in reversed(given.past):
+    for step in reversed(policy_input.past):
         subtask = step.subtask
         if step.outcome == "success" and subtask.pick == name:
             if subtask.primitive is Primitive.MOVE and subtask.place != SHARED:

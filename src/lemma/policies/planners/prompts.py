@@ -57,7 +57,7 @@ know what they reach; they are asked after you if you wait, and read your messag
 """
 
 
-def system_prompt(given: PolicyInput, answers: AnswerFormat) -> str:
+def system_prompt(policy_input: PolicyInput, answers: AnswerFormat) -> str:
     """Return the rules, and the form of an answer."""
     text = _TASK + (_TOOLS if answers.has_stick else "")
     names = {
@@ -73,12 +73,12 @@ def system_prompt(given: PolicyInput, answers: AnswerFormat) -> str:
     )
     if answers.talks:
         name = answers.robots[0]
-        text += _EACH.format(name=name, phrase=given.robots[robot_number(name)])
+        text += _EACH.format(name=name, phrase=policy_input.robots[robot_number(name)])
     return text
 
 
 def question(
-    given: PolicyInput,
+    policy_input: PolicyInput,
     scene: SceneText,
     speaker: str = "",
     messages: tuple[tuple[str, str], ...] = (),
@@ -86,12 +86,12 @@ def question(
     """Return the sentence, the table and the past as text.
 
     Args:
-        given: Sentence and past.
+        policy_input: Sentence and past.
         scene: The table.
         speaker: The robot that is asked; all robots if empty.
         messages: Messages of other robots about this decision: name and text.
     """
-    lines = [f"Sentence: {quoted(given.instruction)}", "", "Robots"]
+    lines = [f"Sentence: {quoted(policy_input.instruction)}", "", "Robots"]
     for robot in scene.robots:
         line = f"- {robot.name}, the {quoted(robot.phrase)}, at {_at(robot.x, robot.y)}"
         if speaker in ("", robot.name):
@@ -102,7 +102,7 @@ def question(
     lines += [_line_of(thing, speaker) for thing in scene.objects]
     lines += [f"- {name} has fallen off the table: it is lost" for name in scene.lost]
     lines += ["", "So far"]
-    lines += [_past(step) for step in given.past] or ["- nothing was done yet"]
+    lines += [_past(step) for step in policy_input.past] or ["- nothing was done yet"]
     if messages:
         lines += ["", "Messages"]
         lines += [f"- {name}: {quoted(text)}" for name, text in messages]
@@ -171,10 +171,10 @@ def messages_of(system: str, text: str, images: list[str]) -> list[dict[str, Any
     ]
 
 
-def pictures(given: PolicyInput) -> list[str]:
+def pictures(policy_input: PolicyInput) -> list[str]:
     """Return the images of the robots' cameras, as PNG data URLs in order of robots."""
     found = []
-    for _, image in sorted(given.view.cameras.items()):
+    for _, image in sorted(policy_input.view.cameras.items()):
         with BytesIO() as file:
             Image.fromarray(image.rgb).save(file, "png")
             data = base64.b64encode(file.getvalue()).decode()

@@ -85,9 +85,9 @@ def make_planner(
 class _Draws:
     """Numbers of one decision."""
 
-    def __init__(self, what: str, seed: int, given: PolicyInput) -> None:
-        key = truth_of(given).instance.key
-        self._key = f"{what} {seed} {key} {len(given.past)}"
+    def __init__(self, what: str, seed: int, policy_input: PolicyInput) -> None:
+        key = truth_of(policy_input).instance.key
+        self._key = f"{what} {seed} {key} {len(policy_input.past)}"
 
     def below(self, count: int) -> int:
         """Return a whole number from 0 to ``count`` - 1."""
@@ -119,9 +119,9 @@ class RandomValidPlanner(Oracle):
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return a sub-task of each episode."""
         found = []
-        for given in inputs:
-            valid = _valid_answers(truth_of(given))
-            draws = _Draws("random-valid", self.seed, given)
+        for policy_input in inputs:
+            valid = _valid_answers(truth_of(policy_input))
+            draws = _Draws("random-valid", self.seed, policy_input)
             found.append(valid[draws.below(len(valid))])
         return found
 
@@ -150,15 +150,19 @@ class NoisyOraclePlanner(Oracle):
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return a sub-task of each episode."""
         return [
-            self._plan(given, right)
-            for given, right in zip(inputs, self.expert.plan(inputs), strict=True)
+            self._plan(policy_input, right)
+            for policy_input, right in zip(
+                inputs, self.expert.plan(inputs), strict=True
+            )
         ]
 
-    def _plan(self, given: PolicyInput, right: SubTask) -> SubTask:
-        draws = _Draws("noisy-oracle", 0, given)
+    def _plan(self, policy_input: PolicyInput, right: SubTask) -> SubTask:
+        draws = _Draws("noisy-oracle", 0, policy_input)
         if draws.share() >= self.error_rate:
             return right
-        others = [each for each in _valid_answers(truth_of(given)) if each != right]
+        others = [
+            each for each in _valid_answers(truth_of(policy_input)) if each != right
+        ]
         return others[draws.below(len(others))]
 
 
@@ -176,10 +180,10 @@ class GreedyReachPlanner(Oracle):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return a sub-task of each episode."""
-        return [self._plan(given) for given in inputs]
+        return [self._plan(policy_input) for policy_input in inputs]
 
-    def _plan(self, given: PolicyInput) -> SubTask:
-        episode = truth_of(given)
+    def _plan(self, policy_input: PolicyInput) -> SubTask:
+        episode = truth_of(policy_input)
         goal = episode.instance.goal
         now = SymbolicState.observe(episode.simulation.scene)
         fallen = any(name in now.fallen for name in goal.entities)
@@ -187,7 +191,7 @@ class GreedyReachPlanner(Oracle):
         if fallen or goal.progress(episode.simulation.scene) == 1.0:
             return STOP
         geometry = GeometricGrounder(now.spec)
-        done = {s.subtask for s in given.past if s.outcome == Outcome.SUCCESS}
+        done = {s.subtask for s in policy_input.past if s.outcome == Outcome.SUCCESS}
         options = [
             option
             for subtask in candidates(now, goal, tuple(geometry.robots), geometry)

@@ -63,13 +63,13 @@ def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
     """
     groups: list[int] = []
     numbers: dict[str, int] = {}
-    told: dict[str, int] = {}
+    by_word: dict[str, int] = {}
     for name in entities.names[: entities.stick]:
         entity = entity_named(name)
         group = numbers.setdefault(entity.color or name, len(numbers))
         groups.append(group)
-        told |= dict.fromkeys([entity.color or entity.kind.nouns[0]], group)
-    return groups, told
+        by_word |= dict.fromkeys([entity.color or entity.kind.nouns[0]], group)
+    return groups, by_word
 
 
 class SentenceReader:
@@ -97,12 +97,12 @@ class SentenceReader:
         """Return texts as numbers; with names, one without words is padding alone."""
         if isinstance(texts, Sentences):
             return texts
-        told = torch.tensor([self._read(text) for text in texts])
+        numbers = torch.tensor([self._read(text) for text in texts])
         if device.type == "cpu":
             # Elsewhere one shape for all is faster than a small one.
-            longest = max(1, int((told[..., 0] != PADDING).sum(1).max()))
-            told = told[:, :longest]
-        return Sentences(*told.to(device).unbind(2))
+            longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
+            numbers = numbers[:, :longest]
+        return Sentences(*numbers.to(device).unbind(2))
 
     def _read(self, text: str) -> list[tuple[int, int, int]]:
         found = self._known.get(text)
@@ -188,20 +188,20 @@ class WordEmbedding(nn.Module):
             self.meaning = nn.Linear(vectors.shape[1], width, bias=False)
             nn.init.normal_(self.meaning.weight, std=0.5)
 
-    def embedded(self, told: Sentences, dropped: Tensor, bare: Tensor) -> Tensor:
+    def embedded(self, sentences: Sentences, dropped: Tensor, bare: Tensor) -> Tensor:
         """Return a token for each word, (B, L, width).
 
         Args:
-            told: The words.
+            sentences: The words.
             dropped: Words that are unknown, (B, L) bool.
             bare: Words shown only by their pretrained vector, (B, L) bool.
         """
         learned: Tensor = self.embedding(
-            told.numbers.masked_fill(dropped | bare, UNKNOWN)
+            sentences.numbers.masked_fill(dropped | bare, UNKNOWN)
         )
         if self.meaning is None:
             return learned
-        vectors: Tensor = self.meaning(self.vectors[told.rows])
+        vectors: Tensor = self.meaning(self.vectors[sentences.rows])
         return vectors.masked_fill(dropped.unsqueeze(2), 0.0) + learned
 
     def drawn(self, spared: Tensor, share: float) -> Tensor:
@@ -254,12 +254,12 @@ class TextEncoder(WordEmbedding):
         Args:
             texts: One per row; upper case, punctuation and typing errors are fine.
         """
-        told = self.sentences.read(texts, self.places.device)
-        mask, spared = told.mask, self.known[told.numbers]
+        sentences = self.sentences.read(texts, self.places.device)
+        mask, spared = sentences.mask, self.known[sentences.numbers]
         dropped = bare = self.drawn(spared, self.config.word_dropout)
         if self.meaning is not None:
             bare = self.drawn(spared, self.config.embedding_dropout)
-        tokens = self.embedded(told, dropped, bare) + self.places[: mask.shape[1]]
+        tokens = self.embedded(sentences, dropped, bare) + self.places[: mask.shape[1]]
         for layer in self.layers:
             tokens = layer(tokens, mask.unsqueeze(1))
         return self.norm(tokens), mask

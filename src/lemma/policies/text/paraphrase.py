@@ -176,19 +176,19 @@ def _say(
         sentence = _fronted(sentence)
     # One name for each role throughout, in most sentences.
     nouns = {role: _one(entity.kind.nouns, rng) for role, entity in entities.items()}
-    text, told = sentence.pieces[0], set()
+    text, mentioned = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
     for role, said, piece in mentions:
         color, kind, noun = entities[role].color, entities[role].kind, nouns[role]
         named = set(words(said)) & _ALL_NOUNS
-        fits = named <= set(kind.nouns) and (named or role in told)
+        fits = named <= set(kind.nouns) and (named or role in mentioned)
         if rng.random() < chances["renamed"] or not fits:
             forms = [f"{color} {noun}"] * 6
             forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
-            forms += [f"{color} one"] * (2 if role in told else 0)
+            forms += [f"{color} one"] * (2 if role in mentioned else 0)
             said = _one(forms, rng)
         text += said.replace("*", color) + piece
-        told.add(role)
+        mentioned.add(role)
     return text
 
 
@@ -265,7 +265,7 @@ def _sentences(
     pairs: int, used: tuple[Template, ...] | None, longest: int = 99
 ) -> tuple[_Sentence, ...]:
     found = {
-        template.text: _taken_apart(template)
+        template.text: _parsed(template)
         for template in _all(used)
         if len(template.roles) == pairs and len(words(template.text)) <= longest
     }
@@ -277,7 +277,7 @@ def _all(used: tuple[Template, ...] | None) -> tuple[Template, ...]:
     return used or tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
 
 
-def _taken_apart(template: Template) -> _Sentence:
+def _parsed(template: Template) -> _Sentence:
     pieces, roles, said, end = [], [], [], 0
     kinds = dict(
         zip(chain(*template.roles), chain(*template.entity_kinds or ()), strict=True)

@@ -76,15 +76,15 @@ class WithGrounder(Composite):
         """Return the policy's orders with poses."""
         answers = self.policy.act_together(_visible_to(self.policy, inputs))
         return [
-            replace(orders, decisions=tuple(self._grounded(given, orders)))
-            for given, orders in zip(inputs, map(orders_of, answers), strict=True)
+            replace(orders, decisions=tuple(self._grounded(team_input, orders)))
+            for team_input, orders in zip(inputs, map(orders_of, answers), strict=True)
         ]
 
-    def _grounded(self, given: TeamInput, orders: Orders) -> list[Decision]:
+    def _grounded(self, team_input: TeamInput, orders: Orders) -> list[Decision]:
         found = []
         for decision in orders.decisions:
             if isinstance(decision, Decision) and not decision.stops:
-                asked = visible_to(self.grounder, [given])
+                asked = visible_to(self.grounder, [team_input])
                 (poses,) = self.grounder.ground(asked, [decision.subtask])
                 decision = replace(decision, grounded=poses)
             found.append(decision)
@@ -102,7 +102,7 @@ class Turns(Composite):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return one order where nobody is at work, else none."""
-        asked = [i for i, given in enumerate(inputs) if _is_quiet(given)]
+        asked = [i for i, team_input in enumerate(inputs) if _is_quiet(team_input)]
         found = [Orders() for _ in inputs]
         if asked:
             answers = self.policy.act(
@@ -137,10 +137,10 @@ class Greedy(Composite):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return as many orders for free robots as the policy knows."""
-        drafts = [_Draft(given, self.symbolic) for given in inputs]
+        drafts = [_Draft(team_input, self.symbolic) for team_input in inputs]
         while asked := [draft for draft in drafts if draft.goes_on]:
-            given = visible_to(self.policy, [draft.as_if_done() for draft in asked])
-            answers = self.policy.act(given)
+            visible = visible_to(self.policy, [draft.as_if_done() for draft in asked])
+            answers = self.policy.act(visible)
             for draft, decision in zip(asked, answers, strict=True):
                 draft.take(decision)
         return [
@@ -152,10 +152,10 @@ class Greedy(Composite):
 class _Draft:
     """Orders for one team, while they are being made."""
 
-    def __init__(self, given: TeamInput, symbolic: bool) -> None:
-        self._given, self._symbolic = given, symbolic
-        self._regions = (SHARED, *pair_regions(len(given.robots)))
-        self._free = set(given.free)
+    def __init__(self, team_input: TeamInput, symbolic: bool) -> None:
+        self._input, self._symbolic = team_input, symbolic
+        self._regions = (SHARED, *pair_regions(len(team_input.robots)))
+        self._free = set(team_input.free)
         self._state: SymbolicState | None = None
         self.decisions: list[Decision] = []
         self.efforts: list[Effort] = []
@@ -163,14 +163,14 @@ class _Draft:
 
     def as_if_done(self) -> PolicyInput:
         """Return the input after all that is under way, if it succeeds."""
-        steps = [doing.subtask for doing in self._given.doing.values()]
+        steps = [doing.subtask for doing in self._input.doing.values()]
         steps += [decision.subtask for decision in self.decisions]
-        past = tuple(PastStep(self._given.view, subtask) for subtask in steps)
-        return self._given.with_past((*self._given.past, *past))
+        past = tuple(PastStep(self._input.view, subtask) for subtask in steps)
+        return self._input.with_past((*self._input.past, *past))
 
     def take(self, decision: Any) -> None:
         """Order what was chosen, or ask no more."""
-        first = _is_quiet(self._given) and not self.decisions
+        first = _is_quiet(self._input) and not self.decisions
         if first or (isinstance(decision, Decision) and self._is_valid(decision)):
             self.decisions.append(decision)
             ordered = isinstance(decision, Decision) and not decision.stops
@@ -183,11 +183,11 @@ class _Draft:
 
     def _is_valid(self, decision: Decision) -> bool:
         subtask = decision.subtask
-        busy = [doing.subtask for doing in self._given.doing.values()]
+        busy = [doing.subtask for doing in self._input.doing.values()]
         busy += [one.subtask for one in self.decisions]
         if decision.stops or decision.failed or subtask.robot not in self._free:
             return False
-        past = self._given.past
+        past = self._input.past
         done = [one.subtask for one in past if one.outcome == Outcome.SUCCESS]
         if subtask in busy or subtask in done:
             return False
@@ -198,10 +198,10 @@ class _Draft:
 
     def _can_be_grounded(self, decision: Decision) -> bool:
         """Whether the expert could, where that is known; keeps the effect in mind."""
-        given = self._given
-        if not isinstance(given, TeamOracleInput):
+        team_input = self._input
+        if not isinstance(team_input, TeamOracleInput):
             return True
-        team = given.team
+        team = team_input.team
         if self._state is None:
             now = team.observe()
             self._state = team.expected(now, team.settled(now))
@@ -216,9 +216,9 @@ class _Draft:
         return True
 
 
-def _is_quiet(given: TeamInput) -> bool:
+def _is_quiet(team_input: TeamInput) -> bool:
     """Whether nobody is at work, and all can be."""
-    return len(given.free) == len(given.robots)
+    return len(team_input.free) == len(team_input.robots)
 
 
 def _visible_to(policy: TeamPolicy, inputs: Sequence[TeamInput]) -> list[TeamInput]:

@@ -34,11 +34,11 @@ class EachAsked(Composite):
         """
         decisions: list[list[Decision]] = [[] for _ in inputs]
         messages: list[list[Message]] = [[] for _ in inputs]
-        for name in robot_names(max(len(given.robots) for given in inputs)):
+        for name in robot_names(max(len(team_input.robots) for team_input in inputs)):
             asked = [
                 i
-                for i, given in enumerate(inputs)
-                if name in given.free and not any(d.stops for d in decisions[i])
+                for i, team_input in enumerate(inputs)
+                if name in team_input.free and not any(d.stops for d in decisions[i])
             ]
             if not asked:
                 continue
@@ -53,8 +53,8 @@ class EachAsked(Composite):
                     text = _text(choice.message)
                     messages[i].append(Message(name, text, inputs[i].time_s))
         return [
-            Orders(tuple(given), tuple(said))
-            for given, said in zip(decisions, messages, strict=True)
+            Orders(tuple(orders), tuple(said))
+            for orders, said in zip(decisions, messages, strict=True)
         ]
 
 
@@ -64,26 +64,28 @@ def asks_robots(policy: object) -> bool:
     return getattr(policy, "asks_robots", False) is True or any(map(asks_robots, parts))
 
 
-def _own(given: TeamInput, robot: str, new: Sequence[Message]) -> RobotInput:
+def _own(team_input: TeamInput, robot: str, new: Sequence[Message]) -> RobotInput:
     """Return what a robot knows."""
     return RobotInput(
-        given.instruction,
-        given.robots,
-        given.own_views[robot],
-        tuple(step for step in given.past if step.subtask.robot == robot),
+        team_input.instruction,
+        team_input.robots,
+        team_input.own_views[robot],
+        tuple(step for step in team_input.past if step.subtask.robot == robot),
         robot=robot,
-        time_s=given.time_s,
+        time_s=team_input.time_s,
         inbox=tuple(
-            message for message in (*given.messages, *new) if message.robot != robot
+            message
+            for message in (*team_input.messages, *new)
+            if message.robot != robot
         ),
     )
 
 
 def _checked(order: Any, robot: str) -> Decision:
     decision = decision_of(order)
-    told = getattr(getattr(decision, "subtask", None), "robot", robot)
-    if told not in (robot, ""):
-        raise ValueError(f"{robot} gave an order to {told}; each orders itself alone")
+    name = getattr(getattr(decision, "subtask", None), "robot", robot)
+    if name not in (robot, ""):
+        raise ValueError(f"{robot} gave an order to {name}; each orders itself alone")
     return decision
 
 

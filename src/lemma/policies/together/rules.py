@@ -26,29 +26,29 @@ _STOP = Orders((Decision(STOP, None),))
 _MOST_PLANS = 4
 
 
-def truth_of(given: TeamInput) -> TeamOracleInput:
+def truth_of(team_input: TeamInput) -> TeamOracleInput:
     """Return an input with the truth.
 
     Raises:
         InvalidConfigError: It comes without.
     """
-    if not isinstance(given, TeamOracleInput):
+    if not isinstance(team_input, TeamOracleInput):
         raise InvalidConfigError(
             "An oracle was asked, but the inputs come without the truth. Give it "
             "TeamOracleInput."
         )
-    return given
+    return team_input
 
 
-def _expected(given: TeamOracleInput) -> SymbolicState:
+def _expected(team_input: TeamOracleInput) -> SymbolicState:
     """Return the state that all that is under way will leave behind."""
-    now = given.team.observe()
-    return given.team.expected(now, given.team.settled(now))
+    now = team_input.team.observe()
+    return team_input.team.expected(now, team_input.team.settled(now))
 
 
-def _is_at_work(given: TeamInput) -> bool:
+def _is_at_work(team_input: TeamInput) -> bool:
     """Whether somebody has an order, or rests from one."""
-    return len(given.free) < len(given.robots)
+    return len(team_input.free) < len(team_input.robots)
 
 
 def _ordered(subtasks: Sequence[SubTask]) -> Orders:
@@ -80,35 +80,36 @@ class OracleTeam(Oracle):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return the next orders of each episode's plan."""
-        return [self._act(truth_of(given)) for given in inputs]
+        return [self._act(truth_of(team_input)) for team_input in inputs]
 
-    def _act(self, given: TeamOracleInput) -> Orders:
-        plan = self._plans.setdefault(given.episode, _Plan())
-        failures = sum(step.outcome != Outcome.SUCCESS for step in given.past)
-        idle = not given.doing
+    def _act(self, team_input: TeamOracleInput) -> Orders:
+        episode, team = team_input.episode, team_input.team
+        plan = self._plans.setdefault(episode, _Plan())
+        failures = sum(step.outcome != Outcome.SUCCESS for step in team_input.past)
+        idle = not team_input.doing
         if failures > plan.failures:
             plan.todo.clear()
         if idle and not plan.todo:
-            goal, scene = given.episode.instance.goal, given.episode.simulation.scene
+            goal, scene = episode.instance.goal, episode.simulation.scene
             done = plan.made == _MOST_PLANS or goal.progress(scene) == 1.0
             found = None
             if not done:
-                found = find_plan(given.team.observe(), goal, given.team.grounder)
+                found = find_plan(team.observe(), goal, team.grounder)
             if found is None or not found.subtasks:
                 return _STOP
             plan.steps, plan.made = found.subtasks, plan.made + 1
             plan.todo, plan.failures = list(range(len(plan.steps))), failures
-        return _ordered(_take(plan, given))
+        return _ordered(_take(plan, team_input))
 
 
-def _take(plan: _Plan, given: TeamOracleInput) -> list[SubTask]:
+def _take(plan: _Plan, team_input: TeamOracleInput) -> list[SubTask]:
     """Return the steps of a plan that can begin now, one for each free robot."""
-    needs = predecessors(plan.steps, tuple(given.episode.instance.scene.regions))
-    settled = given.team.settled(given.team.observe())
-    busy = {d.subtask for name, d in given.doing.items() if name not in settled}
+    needs = predecessors(plan.steps, tuple(team_input.episode.instance.scene.regions))
+    settled = team_input.team.settled(team_input.team.observe())
+    busy = {d.subtask for name, d in team_input.doing.items() if name not in settled}
     missing = {*plan.todo, *(k for k, one in enumerate(plan.steps) if one in busy)}
     found = []
-    for robot in given.free:
+    for robot in team_input.free:
         mine = (k for k in plan.todo if plan.steps[k].robot == robot)
         k = next((k for k in mine if not needs[k].keys() & missing), None)
         if k is not None:
@@ -128,23 +129,24 @@ class GreedyReachTeam(Oracle):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return an order for each free robot that finds a useful one."""
-        return [self._act(truth_of(given)) for given in inputs]
+        return [self._act(truth_of(team_input)) for team_input in inputs]
 
-    def _act(self, given: TeamOracleInput) -> Orders:
-        goal, state = given.episode.instance.goal, _expected(given)
+    def _act(self, team_input: TeamOracleInput) -> Orders:
+        goal, state = team_input.episode.instance.goal, _expected(team_input)
         if any(name in state.fallen for name in goal.entities):
-            return Orders() if _is_at_work(given) else _STOP
-        done = {s.subtask for s in given.past if s.outcome == Outcome.SUCCESS}
-        done |= {doing.subtask for doing in given.doing.values()}
-        orders, robots = list[SubTask](), tuple(given.team.grounder.robots)
-        for robot in given.free:
+            return Orders() if _is_at_work(team_input) else _STOP
+        done = {s.subtask for s in team_input.past if s.outcome == Outcome.SUCCESS}
+        done |= {doing.subtask for doing in team_input.doing.values()}
+        grounder = team_input.team.grounder
+        orders, robots = list[SubTask](), tuple(grounder.robots)
+        for robot in team_input.free:
             useful = [
                 option
-                for subtask in candidates(state, goal, robots, given.team.grounder)
+                for subtask in candidates(state, goal, robots, grounder)
                 if subtask.robot == robot
                 and subtask not in done
                 and isinstance(
-                    option := ground_or_refuse(subtask, state, given.team.grounder),
+                    option := ground_or_refuse(subtask, state, grounder),
                     GroundedOption,
                 )
             ]
@@ -160,7 +162,7 @@ class GreedyReachTeam(Oracle):
             if best is not None:
                 orders.append(best.subtask)
                 state = best.after
-        return _ordered(orders) if orders or _is_at_work(given) else _STOP
+        return _ordered(orders) if orders or _is_at_work(team_input) else _STOP
 
 
 @dataclass(frozen=True)
@@ -171,25 +173,25 @@ class RandomValidTeam(Oracle):
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
         """Return an order for each free robot that has a valid one."""
-        return [self._act(truth_of(given)) for given in inputs]
+        return [self._act(truth_of(team_input)) for team_input in inputs]
 
-    def _act(self, given: TeamOracleInput) -> Orders:
-        state, orders = _expected(given), list[SubTask]()
-        for robot in given.free:
-            options = list(valid_options(robot, state, given.team.grounder))
+    def _act(self, team_input: TeamOracleInput) -> Orders:
+        state, orders = _expected(team_input), list[SubTask]()
+        for robot in team_input.free:
+            options = list(valid_options(robot, state, team_input.team.grounder))
             if not options:
                 continue
-            number = self._below(len(options) + 1, given, robot)
+            number = self._below(len(options) + 1, team_input, robot)
             if number == len(options):
                 return _STOP
             orders.append(options[number].subtask)
             state = options[number].after
-        return _ordered(orders) if orders or _is_at_work(given) else _STOP
+        return _ordered(orders) if orders or _is_at_work(team_input) else _STOP
 
-    def _below(self, count: int, given: TeamOracleInput, robot: str) -> int:
+    def _below(self, count: int, team_input: TeamOracleInput, robot: str) -> int:
         """Return a number from 0 to ``count`` - 1: the same on every machine."""
-        key = f"random-valid {self.seed} {given.episode.instance.key}"
-        key += f" {len(given.past)} {given.time_s:.3f} {robot} {count}"
+        key = f"random-valid {self.seed} {team_input.episode.instance.key}"
+        key += f" {len(team_input.past)} {team_input.time_s:.3f} {robot} {count}"
         digest = hashlib.sha256(key.encode()).digest()
         return int.from_bytes(digest[:16]) % count
 

@@ -31,9 +31,9 @@ class ProcessGroup:
         """Return what the first process says, in all of them."""
         if self.count == 1:
             return values
-        told = torch.tensor(values, dtype=torch.float64)
-        dist.broadcast(told, 0, group=self.talk)
-        return tuple(told.tolist())
+        tensor = torch.tensor(values, dtype=torch.float64)
+        dist.broadcast(tensor, 0, group=self.talk)
+        return tuple(tensor.tolist())
 
     def total(self, values: Tensor) -> Tensor:
         """Return the sum over all processes, on the CPU."""

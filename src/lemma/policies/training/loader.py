@@ -171,7 +171,7 @@ class BatchLoader:
             steps = iter(range(first, last))
             jobs = (thread.submit(self._made, step, own) for step in steps)
             try:
-                yield self._taken(jobs, deque(islice(jobs, AHEAD)))
+                yield self._batches(jobs, deque(islice(jobs, AHEAD)))
             finally:
                 thread.shutdown(wait=False, cancel_futures=True)
 
@@ -183,7 +183,7 @@ class BatchLoader:
         with torch.cuda.stream(own):
             return self.make(step), own.record_event()
 
-    def _taken(self, jobs: Iterator[Made], waiting: deque[Made]) -> Iterator[Batch]:
+    def _batches(self, jobs: Iterator[Made], waiting: deque[Made]) -> Iterator[Batch]:
         while waiting:
             batch, ready = waiting.popleft().result()
             waiting.extend(islice(jobs, 1))
@@ -284,11 +284,11 @@ def with_language(batch: Batch, language: str, rng: np.random.Generator) -> Batc
     rows: dict[int, list[int]] = {}
     for row, episode in enumerate(episodes):
         rows.setdefault(episode, []).append(row)
-    told = [rows[others[episode]] for episode in episodes]
-    chosen = [of[int(rng.integers(len(of)))] for of in told]
+    other_rows = [rows[others[episode]] for episode in episodes]
+    chosen = [of[int(rng.integers(len(of)))] for of in other_rows]
     return replace(
         batch,
-        instructions=[batch.instructions[of[0]] for of in told],
+        instructions=[batch.instructions[of[0]] for of in other_rows],
         sub_instructions=[batch.sub_instructions[row] for row in chosen],
     )
 

@@ -95,8 +95,8 @@ class Reporter(ExitStack):
         if not self.speaks:
             return
         self._write(step, {f"val/{name}": value for name, value in scores.items()})
-        told = "  ".join(f"{name} {value:.4f}" for name, value in scores.items())
-        self.say(f"step {step}: {told}{'  (best)' if best else ''}")
+        text = "  ".join(f"{name} {value:.4f}" for name, value in scores.items())
+        self.say(f"step {step}: {text}{'  (best)' if best else ''}")
 
     def say(self, text: str) -> None:
         """Print a line, beside the bar."""

@@ -94,8 +94,8 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
         name: entry.get("content_sha256", entry["sha256"])
         for name, entry in files.items()
     }
-    told = {"about": {**about, "versions": decisive}, "content": content}
-    text = json.dumps(told, sort_keys=True)
+    hashed = {"about": {**about, "versions": decisive}, "content": content}
+    text = json.dumps(hashed, sort_keys=True)
     return {
         "benchmark": BENCHMARK_VERSION,
         "digest": hashlib.sha256(text.encode()).hexdigest(),

@@ -98,15 +98,15 @@ class Trainer:
         torch.manual_seed(seed_of(config.seed, self.step, self.team.rank))
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step, progress)
-        told = self._captured_gradients(batch) if self._captures else None
-        if told is None:
+        terms = self._captured_gradients(batch) if self._captures else None
+        if terms is None:
             self.optimizer.zero_grad(set_to_none=True)
-            told = self._gradients(batch)
+            terms = self._gradients(batch)
         norm = nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         self.step += 1
         self._average()
-        return {**told, "gradient": norm.detach()}
+        return {**terms, "gradient": norm.detach()}
 
     def _gradients(self, batch: Batch) -> dict[str, Tensor]:
         """Return the losses of a batch, and leave the gradients at the weights."""
@@ -114,8 +114,8 @@ class Trainer:
             terms: dict[str, Tensor] = self._losses(batch)
         loss = torch.stack([term.float() for term in terms.values()]).sum()
         loss.backward()  # type: ignore[no-untyped-call]
-        told = {name: term.detach() for name, term in terms.items()}
-        return {**told, "loss": loss.detach()}
+        detached = {name: term.detach() for name, term in terms.items()}
+        return {**detached, "loss": loss.detach()}
 
     def _captured_gradients(self, batch: Batch) -> dict[str, Tensor] | None:
         """Return the same by a captured step; None where the batch does not fit."""

@@ -129,8 +129,10 @@ class Renderer:
         rgb = np.empty((self.height, self.width, 3), np.uint8)
         buffer = np.empty((self.height, self.width), np.float32)
         scene = self._draw(model, data, camera, rgb, buffer)
-        eye = scene.camera[0]
-        depth_m = depth_from_buffer(buffer, eye.frustum_near, eye.frustum_far)
+        gl_camera = scene.camera[0]
+        depth_m = depth_from_buffer(
+            buffer, gl_camera.frustum_near, gl_camera.frustum_far
+        )
         return CameraImage(_upright(rgb), _upright(depth_m), calibrated)
 
     def rgb(
@@ -241,9 +243,9 @@ class Renderer:
                 scene,
             )
             if fovy_deg is not None:
-                for eye in scene.camera:
-                    half = eye.frustum_near * np.tan(np.radians(fovy_deg) / 2)
-                    eye.frustum_bottom, eye.frustum_top = -half, half
+                for gl_camera in scene.camera:
+                    half = gl_camera.frustum_near * np.tan(np.radians(fovy_deg) / 2)
+                    gl_camera.frustum_bottom, gl_camera.frustum_top = -half, half
             if isinstance(view, Camera):
                 _place(scene, view)
             area = mujoco.MjrRect(0, 0, width, height)
@@ -297,12 +299,12 @@ def _place(scene: mujoco.MjvScene, camera: Camera) -> None:
     """Look with a calibrated camera: square pixels, and the middle in the middle."""
     matrix = camera.world_from_camera.matrix()
     half = _NEAR_M * np.tan(0.5 * camera.intrinsics.fovy_rad)
-    for eye in scene.camera:
-        eye.pos[:] = matrix[:3, 3]
-        eye.forward[:], eye.up[:] = matrix[:3, 2], -matrix[:3, 1]
-        eye.frustum_near = _NEAR_M
-        eye.frustum_bottom, eye.frustum_top = -half, half
-        eye.frustum_center = 0.0
+    for gl_camera in scene.camera:
+        gl_camera.pos[:] = matrix[:3, 3]
+        gl_camera.forward[:], gl_camera.up[:] = matrix[:3, 2], -matrix[:3, 1]
+        gl_camera.frustum_near = _NEAR_M
+        gl_camera.frustum_bottom, gl_camera.frustum_top = -half, half
+        gl_camera.frustum_center = 0.0
 
 
 def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthImage:

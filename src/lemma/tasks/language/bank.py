@@ -142,7 +142,8 @@ def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
     for color in dict.fromkeys(robot.color for robot in robots):
         group = [i for i, robot in enumerate(robots) if robot.color == color]
         if len(group) > 1:
-            for i, which in _told_apart([robots[i].base for i in group], color).items():
+            words = _position_words([robots[i].base for i in group], color)
+            for i, which in words.items():
                 names[group[i]] = f"{which} {names[group[i]]}"
     return tuple(names)
 
@@ -158,7 +159,7 @@ def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _told_apart(bases: Sequence[Pose2], color: str) -> dict[int, str]:
+def _position_words(bases: Sequence[Pose2], color: str) -> dict[int, str]:
     """Return the words that tell robots of one color from each other, by number."""
     order = sorted(range(len(bases)), key=lambda i: bases[i].x)
     words: Sequence[str] = _ORDINALS

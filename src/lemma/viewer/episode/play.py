@@ -19,7 +19,7 @@ from lemma.core.poses import Pose2
 from lemma.dataset.teleoperation import Teleoperation, nudge
 from lemma.evaluation.protocol.language_controls import LanguageControl
 from lemma.evaluation.run.control import ControlPlayer
-from lemma.evaluation.run.rollout import Player, Rollout, TakenStep, roll_out
+from lemma.evaluation.run.rollout import Player, Rollout, StepRecord, roll_out
 from lemma.policies.control.interfaces import Actions
 from lemma.policies.interfaces import Decision, Insight
 from lemma.scene.objects.entity import entity_named
@@ -287,12 +287,12 @@ class Play:
         try:
             if not self._read(rollout, player):
                 return
-            told = ObservedPolicy(player.policy, self._decided)
+            policy = ObservedPolicy(player.policy, self._decided)
             (self.transport.step if self._steps else self.transport.play)()
-            heard = ControlPlayer(told) if controls else Player(told, player.rig)
+            observed = ControlPlayer(policy) if controls else Player(policy, player.rig)
             while not (rollout.episode.is_over or rollout.fault):
                 try:
-                    for _ in roll_out([rollout], heard, on_step=self._stepped):
+                    for _ in roll_out([rollout], observed, on_step=self._stepped):
                         pass
                 except InterruptedEpisodeError:
                     if not rollout.episode.is_over:
@@ -334,8 +334,8 @@ class Play:
         elif reading is None and isinstance(player, ControlPlayer):
             reading = SILENT
         elif reading is None:
-            given = player.policy_input(rollout)
-            reading = ask_reader(player.policy, given, rollout.instance)
+            policy_input = player.policy_input(rollout)
+            reading = ask_reader(player.policy, policy_input, rollout.instance)
         if self.request.saying == OWN_WORDS:
             scene = rollout.episode.simulation.scene
             reading = check_plan(reading, scene, needed=knows)
@@ -391,7 +391,7 @@ class Play:
         before = (each for each in reversed(self.explanations) if each.time_s <= now_s)
         return next(before, NOTHING)
 
-    def _stepped(self, rollout: Rollout, step: TakenStep) -> None:
+    def _stepped(self, rollout: Rollout, step: StepRecord) -> None:
         self._log.end()
         assert self.watch is not None
         now_s = rollout.episode.elapsed_s

@@ -72,24 +72,26 @@ def parse_goal(text: str, instance: Instance) -> Reading:
     return _possible(tuple(sorted(found)), instance)
 
 
-def ask_reader(policy: object, given: PolicyInput, instance: Instance) -> Reading:
+def ask_reader(
+    policy: object, policy_input: PolicyInput, instance: Instance
+) -> Reading:
     """Return the goal that a policy's own reader finds in a sentence.
 
     Args:
         policy: The policy.
-        given: Its input before the first decision.
+        policy_input: Its input before the first decision.
         instance: Of the table.
     """
     reader: Reader | None = find_part(policy, Reader)
     if reader is None:
         return SILENT
-    found = reader.understand([given])[0]
+    found = reader.understand([policy_input])[0]
     pairs, certainty = found.goal, found.certainty
     if found.refusal:
-        missing = unknown_things(given.instruction)
+        missing = unknown_things(policy_input.instruction)
         why = f"There is no {missing} here." if missing else found.refusal
         return Reading(None, f"{why} ({certainty:.0%} sure)", acts=False)
-    if not found.refuses and _DENIES.search(given.instruction):
+    if not found.refuses and _DENIES.search(policy_input.instruction):
         return Reading(
             None,
             "The sentence says what shall not be, and that is not understood. Say what "

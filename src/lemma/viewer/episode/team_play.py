@@ -45,7 +45,7 @@ class TeamPlay(Play):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         """Begin as :class:`Play` does."""
-        self._taken = frozenset[str]()
+        self._visitor_led = frozenset[str]()
         self._ordered: tuple[SubTask, ...] = ()
         """Orders of visitors that have not begun."""
         self._plans_anew = False
@@ -66,9 +66,9 @@ class TeamPlay(Play):
         return self._goes_on and self._team is not None
 
     @property
-    def taken(self) -> frozenset[str]:
-        """Names of the robots that visitors have taken."""
-        return self._taken
+    def visitor_led(self) -> frozenset[str]:
+        """Names of the robots that visitors lead."""
+        return self._visitor_led
 
     @property
     def todo(self) -> tuple[SubTask, ...]:
@@ -81,7 +81,7 @@ class TeamPlay(Play):
         Args:
             robot: Its name.
         """
-        self._taken |= {robot}
+        self._visitor_led |= {robot}
 
     def give_back(self, robot: str) -> None:
         """Let the expert lead a robot again.
@@ -89,7 +89,7 @@ class TeamPlay(Play):
         Args:
             robot: Its name.
         """
-        self._taken -= {robot}
+        self._visitor_led -= {robot}
         self._plans_anew = True
 
     def order(self, subtask: SubTask) -> None:
@@ -187,7 +187,7 @@ class TeamPlay(Play):
                     self._tell_ended(episode, done)
             elif episode.instance.goal.progress(simulation.scene) == 1.0:
                 break
-            elif self._taken:
+            elif self._visitor_led:
                 # Visitors may still do something.
                 work = self._plan(team) if work.failed else work
                 episode.rest_until(now_s + LOOK_S)
@@ -201,7 +201,7 @@ class TeamPlay(Play):
             episode.stop()
 
     def _may_begin(self, subtask: SubTask) -> bool:
-        return subtask.robot not in self._taken or subtask in self._ordered
+        return subtask.robot not in self._visitor_led or subtask in self._ordered
 
     def _foresee(self, team: Team) -> tuple[SymbolicState, tuple[SubTask, ...]]:
         """Return the state after all that is under way and ordered, and the orders."""

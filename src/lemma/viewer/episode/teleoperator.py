@@ -106,9 +106,9 @@ class Teleoperator:
 
     def act(self, inputs: Sequence[ControlInput]) -> list[Any]:
         """Return the targets as commands."""
-        (given,) = inputs
+        (control_input,) = inputs
         if self._targets is None:
-            seen = given.observation
+            seen = control_input.observation
             poses = np.asarray(seen["tcp_pose"], float).reshape(-1, 7)
             joints = np.asarray(seen["agent_pos"], float).reshape(len(poses), -1)
             self._begin(poses, joints[:, -1])

@@ -12,9 +12,9 @@ from lemma.core.poses import FloatArray, Pose2
 from lemma.scene.scene import Scene
 from lemma.viewer.scene.bodies import Bodies
 
-RING = "/dragging"
+HANDLES = "/dragging"
 """Name of the node with the handles for turning."""
-_RING_SCALE = 0.22
+_HANDLES_SCALE = 0.22
 _ROBOT_SCALE = 0.45
 _LEAST_SLOPE = 0.05
 
@@ -35,8 +35,8 @@ class Dragging:
         self._bodies: Bodies | None = None
         self._bases: dict[str, Pose2] = {}
         self._bound: set[str] = set()
-        self._ring: Any = None
-        self._taken = ""
+        self._handles: Any = None
+        self._selected = ""
         self._offset, self._height_m = np.zeros(2), 0.0
 
     def watch(self, bodies: Bodies, scene: Scene) -> None:
@@ -48,10 +48,11 @@ class Dragging:
         """
         spec = scene.spec
         if bodies is not self._bodies:
-            self._bodies, self._bound, self._ring, self._taken = bodies, set(), None, ""
+            self._bodies, self._bound = bodies, set()
+            self._handles, self._selected = None, ""
         bases = (robot.base for robot in spec.robots)
         self._bases = dict(zip(spec.robot_names, bases, strict=True))
-        self._place_ring()
+        self._place_handles()
 
     def allow(self, names: set[str]) -> None:
         """Set which things may be dragged, by name."""
@@ -66,14 +67,14 @@ class Dragging:
                 part.on_drag(self._dragging(name))
                 part.on_click(self._clicking(name))
         self._bound = set(names)
-        if self._taken not in names:
-            self._take("")
+        if self._selected not in names:
+            self._select("")
 
     def let_go(self) -> None:
         """Show everything where it is."""
         if self._bodies is not None:
             self._bodies.elsewhere.clear()
-            self._place_ring()
+            self._place_handles()
 
     def _home(self, name: str) -> Pose2:
         """Return the pose of a thing, not where it is shown."""
@@ -91,7 +92,7 @@ class Dragging:
 
     def _clicking(self, name: str) -> Callable[[Any], Any]:
         async def clicked(_: Any) -> None:
-            self._take(name)
+            self._select(name)
 
         return clicked
 
@@ -100,7 +101,7 @@ class Dragging:
         async def dragged(event: Any) -> None:
             now, eye = self._now(name), np.asarray(event.client.camera.position, float)
             if event.phase == "start":
-                self._take(name)
+                self._select(name)
                 self._height_m = float(event.start_position[2])
                 at = _on_plane(eye, np.asarray(event.start_position), self._height_m)
                 self._offset = np.array(now.xy) - (at if at is not None else now.xy)
@@ -108,44 +109,44 @@ class Dragging:
             if at is not None:
                 x, y = at + self._offset
                 self._carry(name, Pose2(float(x), float(y), now.yaw))
-            self._place_ring()
+            self._place_handles()
             if event.phase == "end":
                 self._put_down(name)
 
         return dragged
 
-    def _take(self, name: str) -> None:
-        self._taken = name
-        self._place_ring()
+    def _select(self, name: str) -> None:
+        self._selected = name
+        self._place_handles()
 
-    def _place_ring(self) -> None:
-        """Put the handles around the thing that was taken last, if any."""
-        if not self._taken or self._bodies is None:
-            if self._ring is not None:
-                self._ring.visible = False
+    def _place_handles(self) -> None:
+        """Put the handles around the selected thing, if any."""
+        if not self._selected or self._bodies is None:
+            if self._handles is not None:
+                self._handles.visible = False
             return
-        if self._ring is None:
+        if self._handles is None:
             # Axes x and y are active, and so is turning about z.
-            self._ring = self._server.scene.add_transform_controls(
-                RING, active_axes=(True, True, False), depth_test=False, opacity=0.7
+            self._handles = self._server.scene.add_transform_controls(
+                HANDLES, active_axes=(True, True, False), depth_test=False, opacity=0.7
             )
-            self._ring.on_update(self._turned)
-        pose = self._now(self._taken)
+            self._handles.on_update(self._turned)
+        pose = self._now(self._selected)
         half = pose.yaw / 2.0
         with self._server.atomic():
-            is_robot = self._taken in self._bases
-            self._ring.scale = _ROBOT_SCALE if is_robot else _RING_SCALE
-            self._ring.position = (pose.x, pose.y, 0.02)
-            self._ring.wxyz = (math.cos(half), 0.0, 0.0, math.sin(half))
-            self._ring.visible = True
+            is_robot = self._selected in self._bases
+            self._handles.scale = _ROBOT_SCALE if is_robot else _HANDLES_SCALE
+            self._handles.position = (pose.x, pose.y, 0.02)
+            self._handles.wxyz = (math.cos(half), 0.0, 0.0, math.sin(half))
+            self._handles.visible = True
 
     async def _turned(self, event: Any) -> None:
-        if self._taken:
+        if self._selected:
             x, y, _ = (float(value) for value in event.target.position)
             w, _, _, z = (float(value) for value in event.target.wxyz)
-            self._carry(self._taken, Pose2(x, y, 2.0 * math.atan2(z, w)))
+            self._carry(self._selected, Pose2(x, y, 2.0 * math.atan2(z, w)))
             if event.phase == "end":
-                self._put_down(self._taken)
+                self._put_down(self._selected)
 
     def _put_down(self, name: str) -> None:
         # It may wait for a policy: the loop of the server must not.

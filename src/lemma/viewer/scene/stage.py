@@ -37,7 +37,7 @@ _NEARER = 0.25
 """Share of the distance to a visitor that is a meter towards them."""
 _MOST_CONTACTS = 40
 _CONTACT_RGB = (255, 140, 0)
-_RING_POINTS = 96
+_CIRCLE_POINTS = 96
 _OVER_TABLE_M = 0.006
 _MARK_M = 0.012
 _MARK_HEIGHT_M = 0.09
@@ -115,7 +115,7 @@ class Stage:
         for name, placed in zip(names, instance.scene.robots, strict=True):
             reach, could = reach_of(placed.arm), could_of(placed.arm)
             nodes += [
-                self._ring(f"/reach/{name}/{part}", placed, placed.base.xy, *looks)
+                self._circle(f"/reach/{name}/{part}", placed, placed.base.xy, *looks)
                 for part, looks in {
                     "travel": (reach.travel_m, 1, 3.0),
                     "inner": (reach.inner_m, 1, 3.0),
@@ -124,7 +124,7 @@ class Stage:
             ]
         self._keep("reach", nodes)
 
-    def _ring(
+    def _circle(
         self,
         name: str,
         placed: RobotPlacement,
@@ -143,7 +143,7 @@ class Stage:
             every: The number of lines of which one is drawn.
             thickness: Of the lines [px].
         """
-        angles = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS + 1)
+        angles = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
         x, y = at[0] + radius_m * np.cos(angles), at[1] + radius_m * np.sin(angles)
         points = np.stack([x, y, np.full_like(angles, _OVER_TABLE_M)], 1)
         return self._server.scene.add_line_segments(
@@ -183,7 +183,7 @@ class Stage:
         for number, (seen, placed) in enumerate(robots):
             for radius_m in seen.reach_m:
                 name = f"/perceived/robot_{number}/{len(nodes)}"
-                nodes.append(self._ring(name, placed, seen.at, radius_m, 3, 3.0))
+                nodes.append(self._circle(name, placed, seen.at, radius_m, 3, 3.0))
         for thing in insight.objects:
             parts = [entity_named(thing.name).phrase]
             for pair in insight.goal:

@@ -1,5 +1,5 @@
 "use strict";
-const told = JSON.parse(document.getElementById("told").textContent);
+const episodes = JSON.parse(document.getElementById("episodes").textContent);
 const frame = document.querySelector(".player");
 const find = (selector) => document.querySelector(selector);
 let steps = [], cursors = [];
@@ -107,10 +107,10 @@ addEventListener("message", (event) => {
 });
 function follow() {
   const name = location.hash.slice(1);
-  open(told.find((replay) => replay.name === name) || told[0]);
+  open(episodes.find((replay) => replay.name === name) || episodes[0]);
 }
-if (told.length > 1)
-  find(".names").append(...told.map((replay) =>
+if (episodes.length > 1)
+  find(".names").append(...episodes.map((replay) =>
     make("a", { href: "#" + replay.name }, replay.title)));
 addEventListener("hashchange", follow);
 follow();

@@ -17,7 +17,7 @@ from lemma.evaluation.lines import result_beside
 from lemma.evaluation.protocol.language_controls import FULL
 from lemma.evaluation.records import Deviation
 from lemma.evaluation.report.episodes import (
-    DEPARTURES,
+    DEVIATION_WORDS,
     Case,
     explanation,
     subtask_words,
@@ -131,7 +131,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
 def demo_command(case: Case) -> str:
     """Return the command that lets the policy play again; ``""`` if none does."""
     row, policy = case.row, case.about["policy"]
-    seeds = {told.get("seed", 0) for told in case.about["weights"].values()}
+    seeds = {entry.get("seed", 0) for entry in case.about["weights"].values()}
     same = (
         # Weights of other training seeds are found by their path alone.
         (seeds <= {0} or "/" in policy["name"])
@@ -203,7 +203,7 @@ def _step_data(case: Case, step: Mapping[str, Any]) -> dict[str, Any]:
         "outcome": step["outcome"],
         "explanation": step.get("explanation", ""),
         "duration_s": step.get("duration_s"),
-        "departs": DEPARTURES.get(departs, ""),
+        "departs": DEVIATION_WORDS.get(departs, ""),
         "expert": subtask_words(case, feedback["expected"]) if departs else "",
         "errors": ", ".join(errors),
     }

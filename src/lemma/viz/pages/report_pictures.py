@@ -113,8 +113,10 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     if video is not None:
         # The caption says what the policy was told.
         said = {**instance.instructions, "high_level": case.row["instruction"]}
-        told = replace(again.recording, instance=replace(instance, instructions=said))
-        write_video(told, video, style)
+        recording = replace(
+            again.recording, instance=replace(instance, instructions=said)
+        )
+        write_video(recording, video, style)
         name = f"{video.parent.name}/{video.name}"
     chart = gantt_of(again.recording)
     return Pictures(jpeg(top), jpeg(first), jpeg(end), again.differs, name, chart)
@@ -129,7 +131,7 @@ def _map(
     """Draw the map, with the pick and place of policy and expert."""
     instance = case.instance
     top = annotated_map(instance, scene, camera_images(scene), MAP_PX)
-    canvas, taken = Canvas(top), list[Box]()
+    canvas, occupied = Canvas(top), list[Box]()
     # The policy's is drawn last, over the expert's.
     side = 0.25 if own and expert and _opposed(own, expert) else -0.25
     for who, grounded, ink, bend, width in (
@@ -150,7 +152,7 @@ def _map(
             (pick[1] + place[1]) / 2 - 0.5 * bend * (place[0] - pick[0]),
         )
         text = f"{who}: {robot_titles(instance)[grounded.robot]}"
-        canvas.label(middle, text, 12.5, ink, 16.0, taken)
+        canvas.label(middle, text, 12.5, ink, 16.0, occupied)
     return canvas.picture()
 
 

@@ -108,8 +108,8 @@ class PickAndPlace(MapModel):
 
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the picture, and the sentence as read for the pick and the place."""
-        told = batch.text_tensors or self.text_tensors(batch)
-        texts = Sentences(*told["words"])
+        tensors = batch.text_tensors or self.text_tensors(batch)
+        texts = Sentences(*tensors["words"])
         # Means of many words are small; normalised, they have an effect sooner.
         to_pick, to_place = (
             F.layer_norm(encoder.pooled(texts), (self.config.text_width,))
@@ -242,12 +242,12 @@ class CLIPort(PickAndPlace):
     ) -> list[GroundedSubTask | None]:
         """Return each sub-task with poses; None where it cannot be put in words."""
         texts = [_words(*pair) for pair in zip(inputs, subtasks, strict=True)]
-        told = [i for i, text in enumerate(texts) if text]
+        indices = [i for i, text in enumerate(texts) if text]
         found: list[GroundedSubTask | None] = [None] * len(texts)
-        places = iter(told)
-        said = [texts[i] for i in told]
+        places = iter(indices)
+        said = [texts[i] for i in indices]
         with self.deciding():
-            for batch in self.batches([inputs[i] for i in told], said):
+            for batch in self.batches([inputs[i] for i in indices], said):
                 poses = self.poses(batch)
                 for pick, place in zip(*map(Tensor.tolist, poses), strict=True):
                     i = next(places)
@@ -263,11 +263,11 @@ def grounded(
     return GroundedSubTask(subtask.robot, subtask.primitive, first, last)
 
 
-def _words(given: PolicyInput, subtask: SubTask) -> str:
+def _words(policy_input: PolicyInput, subtask: SubTask) -> str:
     if subtask.primitive is Primitive.STOP or not subtask.robot:
         return ""
     try:
-        return given.words_for(subtask)
+        return policy_input.words_for(subtask)
     except (UnknownNameError, InvalidConfigError, IndexError):
         return ""
 

@@ -148,8 +148,8 @@ class GoalReader(WordEmbedding):
 
     def forward(self, texts: Texts) -> Tensor:
         """Return the log-probability of every goal and reason, (B, goals + reasons)."""
-        told = self.sentences.read(texts, self.alike.device)
-        scores, order, _ = self._scores(told)
+        sentences = self.sentences.read(texts, self.alike.device)
+        scores, order, _ = self._scores(sentences)
         return _joint(scores, order)
 
     def loss(
@@ -197,8 +197,8 @@ class GoalReader(WordEmbedding):
         Whether a sentence is an order does not depend on the table: its answer is the
         same throughout an episode.
         """
-        told = self.sentences.read(texts, self.alike.device)
-        scores, order, first = self._scores(told)
+        sentences = self.sentences.read(texts, self.alike.device)
+        scores, order, first = self._scores(sentences)
         if present is not None:
             missing = F.pad(~present[:, : self.targets], (0, 1)).float() * _ABSENT
             scores = scores + missing[:, self.goals].sum((2, 3))
@@ -215,7 +215,7 @@ class GoalReader(WordEmbedding):
         place = places.gather(1, named).view_as(best).amin(-1)
         at = place.argsort(dim=2, stable=True)
         best = best.gather(2, at[..., None].expand_as(best))
-        silent = ~told.mask.any(1) & (not self.config.guesses)
+        silent = ~sentences.mask.any(1) & (not self.config.guesses)
         best = best.masked_fill(silent[:, None, None, None], NOBODY)
         likely = likely.masked_fill(silent[:, None], 1.0)
         refused = shares[:, count:].sum(-1).masked_fill(silent, 0.0)
@@ -224,7 +224,7 @@ class GoalReader(WordEmbedding):
             reasons = torch.where(refused > 0.5, order[:, 1:].argmax(-1), reasons)
         return Readings(best, likely, reasons, refused)
 
-    def _scores(self, told: Sentences) -> tuple[Tensor, Tensor | None, Tensor]:
+    def _scores(self, sentences: Sentences) -> tuple[Tensor, Tensor | None, Tensor]:
         """Return what is known of sentences.
 
         Returns:
@@ -232,18 +232,18 @@ class GoalReader(WordEmbedding):
             there being none, (B, 1 + reasons), or None; and where each entity is first
             named, (B, T).
         """
-        tokens, whole = self._encoded(told)
+        tokens, whole = self._encoded(sentences)
         order = None
         if self.order is not None:
-            most = tokens.masked_fill(~told.mask.unsqueeze(2), _NEVER).amax(1)
+            most = tokens.masked_fill(~sentences.mask.unsqueeze(2), _NEVER).amax(1)
             order = self.order(torch.cat([whole, most], -1)).float().log_softmax(-1)
         length = tokens.shape[1]
         place = torch.arange(length, device=tokens.device)
-        at = torch.where(told.names != NO_NAME, place, length)
+        at = torch.where(sentences.names != NO_NAME, place, length)
         at = at.sort(1).values[:, :_MENTIONS]
         index = at.clamp(max=length - 1)
         said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
-        names = torch.where(at < length, told.names.gather(1, index), NO_NAME)
+        names = torch.where(at < length, sentences.names.gather(1, index), NO_NAME)
         meant = names[:, :, None] == self.group
         pairs = self._pairs(said, meant)
         count = self.count(whole).float().log_softmax(-1)
@@ -275,16 +275,16 @@ class GoalReader(WordEmbedding):
         found: Tensor = both.flatten(1, 2).logsumexp(1).clamp(min=2 * _NEVER)
         return found
 
-    def _encoded(self, told: Sentences) -> tuple[Tensor, Tensor]:
+    def _encoded(self, sentences: Sentences) -> tuple[Tensor, Tensor]:
         """Return a token for each word, (B, L, width), and one for all of them."""
-        mask = told.mask
-        spared = (told.names != NO_NAME) | ~mask
+        mask = sentences.mask
+        spared = (sentences.names != NO_NAME) | ~mask
         dropped = self.drawn(spared, self.config.word_dropout)
-        bare = self.drawn(spared, self.config.embedding_dropout) & (told.rows > 0)
-        tokens = self.embedded(told, dropped, bare)
+        bare = self.drawn(spared, self.config.embedding_dropout) & (sentences.rows > 0)
+        tokens = self.embedded(sentences, dropped, bare)
         tokens = tokens.masked_fill(~mask.unsqueeze(2), 0.0)
         tokens = tokens + F.gelu(self.near(tokens.transpose(1, 2)).transpose(1, 2))
-        bias = self._bias(told, mask)
+        bias = self._bias(sentences, mask)
         for layer in self.layers:
             tokens = layer(tokens, bias)
         tokens = self.norm(tokens)
@@ -292,12 +292,12 @@ class GoalReader(WordEmbedding):
         whole = (tokens * weights).sum(1) / weights.sum(1).clamp(min=1)
         return tokens, whole
 
-    def _bias(self, told: Sentences, mask: Tensor) -> Tensor:
+    def _bias(self, sentences: Sentences, mask: Tensor) -> Tensor:
         """Return what is added to the attention, (B, heads, L, L)."""
         place = torch.arange(mask.shape[1], device=mask.device)
         away = (place[None] - place[:, None]).clamp(-_FAR, _FAR) + _FAR
-        same = (told.names[:, :, None] == told.names[:, None]) & (
-            told.names != NO_NAME
+        same = (sentences.names[:, :, None] == sentences.names[:, None]) & (
+            sentences.names != NO_NAME
         )[:, :, None]
         bias = _SCALE * (self.apart[away][None] + same[..., None] * self.alike)
         seen = mask[:, None, :, None] | (place[None, :, None, None] == place[:, None])

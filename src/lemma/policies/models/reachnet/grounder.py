@@ -143,7 +143,7 @@ class ReachNetGrounder(nn.Module):
         travel = (place[:, :2] - pick[:, :2]).norm(dim=-1)
         lengths = constant(TRAVELS_M, travel.device)
         length = (travel[:, None] - lengths).abs().argmin(-1)
-        given = utility[rows, turn].log_softmax(-1)[rows, length]
+        length_score = utility[rows, turn].log_softmax(-1)[rows, length]
         offset = at - place[:, :2]
         cos, sin = place[:, 2].cos(), place[:, 2].sin()
         x, y = offset.unbind(-1)
@@ -154,7 +154,7 @@ class ReachNetGrounder(nn.Module):
         near = (seen - ready.detach()).norm(dim=-1) < 0.3
         return {
             "bearing": _mean(-bearing[rows, turn], prepares),
-            "length": _mean(-given, uses),
+            "length": _mean(-length_score, uses),
             "ready": 10.0 * _mean(miss, prepares & near),
         }
 
@@ -324,7 +324,7 @@ Poses = tuple[Tensor, Tensor]
 def score_decisions(
     decision: Tensor,
     poses: Poses,
-    told: Poses,
+    demonstrated: Poses,
     labels: Labels,
     entities: EntitySet = BENCHMARK,
 ) -> dict[str, Tensor]:
@@ -333,7 +333,7 @@ def score_decisions(
     Args:
         decision: Predicted decisions, (B, 4).
         poses: Poses for these decisions.
-        told: Poses for the decisions of the demonstration.
+        demonstrated: Poses for the decisions of the demonstration.
         labels: The demonstration.
         entities: Entities, in the order of their numbers.
     """
@@ -341,11 +341,13 @@ def score_decisions(
     acts = right[:, 0] != NOBODY
     same = decision == right
     plan = same.all(1)
-    placed = _placed(told[1], labels, entities)
-    picked = _picked(told[0], labels, entities)
+    placed = _placed(demonstrated[1], labels, entities)
+    picked = _picked(demonstrated[0], labels, entities)
     own = _picked(poses[0], labels, entities) & _placed(poses[1], labels, entities)
     prepares = _among(right[:, 1], _PREPARE)
-    bearing = _off(told[1][:, 2], labels.place_pose[:, 2], math.tau) < _BEARING_RAD
+    bearing = (
+        _off(demonstrated[1][:, 2], labels.place_pose[:, 2], math.tau) < _BEARING_RAD
+    )
     return {
         "primitive": same[:, 1].float(),
         "pick": _only(same[:, 2], acts),
@@ -359,7 +361,7 @@ def score_decisions(
     }
 
 
-def score_eye(
+def score_perception(
     table: SceneTable, truth: SceneTable, raster: Raster
 ) -> dict[str, Tensor]:
     """Return how good is what was seen, by name, (B,).
@@ -447,5 +449,5 @@ def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     likely = logs.log_softmax(1)[rows, robot] + logs[rows, robot]
     acts = labels.decision[:, 0] != NOBODY
     unlikely = torch.where(acts, -likely, 0.0).sum() / acts.sum().clamp(min=1)
-    area = seen.rings[..., 1:].square() - seen.rings[..., :1].square()
+    area = seen.radii[..., 1:].square() - seen.radii[..., :1].square()
     return _DEMONSTRATED * (unlikely + _TIGHT * area.log().mean())

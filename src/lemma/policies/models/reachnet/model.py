@@ -1,9 +1,10 @@
 """ReachNet: sees entities and reach, then plans and grounds with both. Our own policy.
 
-An eye turns the map into a small table: where things are, and between which radii each
-robot reaches. A reader turns the sentence into the pairs that shall lie on each other.
-A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on the
-entities. The last three see no pixels, and so they also learn from labels with noise.
+Perception turns the map into a small table: where things are, and between which radii
+each robot reaches. A reader turns the sentence into the pairs that shall lie on each
+other. A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on
+the entities. The last three see no pixels, and so they also learn from labels with
+noise.
 """
 
 import math
@@ -33,7 +34,7 @@ from lemma.policies.models.reachnet.grounder import (
     ReachNetGrounder,
     demonstrated_reach,
     score_decisions,
-    score_eye,
+    score_perception,
 )
 from lemma.policies.models.reachnet.perception import (
     Perception,
@@ -142,16 +143,16 @@ class ReachNet(MapModel):
         labels = batch.labels
         assert labels is not None
         marks, coarse = self.eye(batch)
-        told = batch.text_tensors or self.text_tensors(batch)
-        words = Sentences(*told["words"])
-        reading = self.reader.loss(words, told["goal"], told["reasons"])
-        goal = told["goal"][: len(batch)]
+        tensors = batch.text_tensors or self.text_tensors(batch)
+        words = Sentences(*tensors["words"])
+        reading = self.reader.loss(words, tensors["goal"], tensors["reasons"])
+        goal = tensors["goal"][: len(batch)]
         with torch.autocast(self.device.type, enabled=False):
-            rings = self.eye.reach(coarse, batch, labels.bases[..., :2])
-            known = self._true_rings(labels)
-            radii = rings if known is None else known
+            seen_radii = self.eye.reach(coarse, batch, labels.bases[..., :2])
+            known = self._true_radii(labels)
+            radii = seen_radii if known is None else known
             truth = true_table(labels, radii, batch.raster, batch.entities)
-            seen = true_table(labels, rings, batch.raster, batch.entities)
+            seen = true_table(labels, seen_radii, batch.raster, batch.entities)
             terms = self.eye.losses(marks, truth, batch)
             terms["reading"] = reading
             terms["reach"] = self._reach_loss(seen, known, labels, batch)
@@ -161,7 +162,7 @@ class ReachNet(MapModel):
                     found = self.eye.table(marks, coarse, batch)
             return terms | self._table_losses(truth, found, goal, batch)
 
-    def _true_rings(self, labels: Labels) -> Tensor | None:
+    def _true_radii(self, labels: Labels) -> Tensor | None:
         """Return the true radii, where training may know them."""
         if self.config.reach != "simulator":
             return None
@@ -180,7 +181,7 @@ class ReachNet(MapModel):
         if self.config.reach == "none":
             # Every weight has a gradient, which training on many GPUs asks for.
             unused = (self.planner.reach_sharpness, self.planner.reach_weight)
-            return 0.0 * (seen.rings.sum() + sum(unused))
+            return 0.0 * (seen.radii.sum() + sum(unused))
         if known is None:
             return demonstrated_reach(seen, labels)
         sides = constant((batch.raster.columns, batch.raster.rows), self.device)
@@ -241,19 +242,21 @@ class ReachNet(MapModel):
             table, decision, _ = self._decide(batch)
             with torch.autocast(self.device.type, enabled=False):
                 poses = self.grounding(table, decision)
-                told = self.grounding(table, labels.decision)
+                demonstrated = self.grounding(table, labels.decision)
                 goal = goal_numbers(labels.goals, self.device, batch.entities)
                 read, _ = self.reader.read(batch.instructions, table.present)
                 # The order of the two pairs does not matter.
                 orders = torch.stack([goal, goal.flip(1)])
                 right = (orders == read).flatten(2).all(2).any(0)
-                known = self._true_rings(labels)
-            rings = table.rings if known is None else known
-            truth = true_table(labels, rings, batch.raster, batch.entities)
+                known = self._true_radii(labels)
+            radii = table.radii if known is None else known
+            truth = true_table(labels, radii, batch.raster, batch.entities)
             return {
-                **score_decisions(decision, poses, told, labels, batch.entities),
+                **score_decisions(
+                    decision, poses, demonstrated, labels, batch.entities
+                ),
                 "reading": right.float(),
-                **score_eye(table, truth, batch.raster),
+                **score_perception(table, truth, batch.raster),
             }
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
@@ -334,10 +337,10 @@ class ReachNet(MapModel):
     ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
         """Yield batches, and what has failed since something last succeeded."""
         failed = []
-        for given in inputs:
-            outcomes = [step.outcome for step in reversed(given.past)]
+        for policy_input in inputs:
+            outcomes = [step.outcome for step in reversed(policy_input.past)]
             since = [*outcomes, _SUCCESS].index(_SUCCESS)
-            failed.append([step.subtask for step in given.past[::-1][:since]])
+            failed.append([step.subtask for step in policy_input.past[::-1][:since]])
         for batch in self.batches(inputs):
             yield batch, failed[: len(batch)]
             failed = failed[len(batch) :]

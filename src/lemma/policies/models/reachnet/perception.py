@@ -36,7 +36,7 @@ STRIDE = 4
 
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
-_RING_M = ((0.05, 0.35), (0.4, 1.8), (0.0, 0.2))
+_REACH_RADII_M = ((0.05, 0.35), (0.4, 1.8), (0.0, 0.2))
 """Bounds of the radii of reach: the inner one, the outer one, and how much farther
 things are held low [m]."""
 _PROFILE = 3
@@ -144,7 +144,7 @@ class Perception(nn.Module):
         self.ring = nn.Sequential(
             nn.Linear(config.widths[-1] + joints + 1, config.ring_width),
             nn.SiLU(),
-            nn.Linear(config.ring_width, len(_RING_M)),
+            nn.Linear(config.ring_width, len(_REACH_RADII_M)),
         )
         self.ground = nn.Sequential(
             nn.Conv1d(_PROFILE, _PROFILE_WIDTH, _PROFILE_KERNEL, padding="same"),
@@ -190,12 +190,12 @@ class Perception(nn.Module):
         grid = (bases / half).clamp(-1.0, 1.0).unsqueeze(2)
         seen = F.grid_sample(coarse, grid, align_corners=False).squeeze(3)
         joints = torch.cat([batch.joints.sin(), batch.joints.cos()], -1).float()
-        told = torch.ones_like(joints[..., :1])
+        kept = torch.ones_like(joints[..., :1])
         if self.training:
-            told = (torch.rand_like(told) >= self.config.joint_dropout).float()
-        parts = [seen.transpose(1, 2), joints * told, told]
+            kept = (torch.rand_like(kept) >= self.config.joint_dropout).float()
+        parts = [seen.transpose(1, 2), joints * kept, kept]
         share = self.ring(torch.cat(parts, -1)).sigmoid()
-        low, high = constant(_RING_M, share.device).unbind(-1)
+        low, high = constant(_REACH_RADII_M, share.device).unbind(-1)
         inner, outer, more = (low + (high - low) * share).unbind(-1)
         return torch.stack([inner, outer, outer + more], -1)
 
@@ -232,7 +232,7 @@ class Perception(nn.Module):
             yaw=torch.where(present, yaw, 0.0),
             top=torch.where(present & is_cargo, _top(batch, xy), 0.0),
             bases=bases,
-            rings=self.reach(coarse, batch, bases),
+            radii=self.reach(coarse, batch, bases),
             ground=self.table_seen(batch).sigmoid(),
             half_x_m=batch.raster.size_m[0] / 2,
             entities=self.entities,
@@ -309,27 +309,27 @@ class Perception(nn.Module):
         valid = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         valid = valid & there[..., None]
         index = (row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)).long()
-        given = marks.offsets.gather(3, index[:, :, None].expand(-1, -1, 2, -1))
+        predicted = marks.offsets.gather(3, index[:, :, None].expand(-1, -1, 2, -1))
         wanted = (place[:, :, None] - near - 0.5).transpose(2, 3)
-        miss = F.smooth_l1_loss(given, wanted, beta=0.1, reduction="none").sum(2)
+        miss = F.smooth_l1_loss(predicted, wanted, beta=0.1, reduction="none").sum(2)
         return torch.where(valid, miss, 0.0).sum() / valid.sum().clamp(min=1)
 
 
 def reach_loss(
-    table: SceneTable, rings: Tensor, bases: Tensor, points: Tensor
+    table: SceneTable, radii: Tensor, bases: Tensor, points: Tensor
 ) -> Tensor:
     """Return how wrong reach maps are at points of the table.
 
     Args:
         table: With the radii that were seen.
-        rings: The true radii, (B, R, 3) [m].
+        radii: The true radii, (B, R, 3) [m].
         bases: The true bases, (B, R, 2) [m].
         points: (B, N, 2) [m].
     """
     near = (points[:, None] - bases[:, :, None]).norm(dim=-1).unsqueeze(2)
     true, seen = (
         torch.minimum(near - r[..., :1, None], r[..., 1:, None] - near)
-        for r in (rings, table.rings)
+        for r in (radii, table.radii)
     )
     wrong = F.binary_cross_entropy_with_logits(seen / 0.03, (true > 0).float())
     return wrong + 10.0 * F.smooth_l1_loss(seen, true, beta=0.02)

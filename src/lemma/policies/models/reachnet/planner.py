@@ -304,17 +304,17 @@ def reach_features(table: SceneTable, use_reach: bool) -> Tensor:
 
 def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
     """Return what is known of each robot, (B, R, ROBOT_FEATURES)."""
-    rings = table.rings if use_reach else torch.zeros_like(table.rings)
-    centre = torch.zeros(len(table), 1, 2, device=rings.device)
+    radii = table.radii if use_reach else torch.zeros_like(table.radii)
+    centre = torch.zeros(len(table), 1, 2, device=radii.device)
     shared = table.margins(centre).squeeze(-1)
     gap = (table.bases - table.bases.flip(1)).norm(dim=-1, keepdim=True)
-    overlap = rings[..., 1:2] + rings.flip(1)[..., 1:2] - gap
+    overlap = radii[..., 1:2] + radii.flip(1)[..., 1:2] - gap
     if not use_reach:
         shared, overlap = torch.zeros_like(shared), torch.zeros_like(overlap)
     return torch.cat(
         [
             table.bases,
-            rings,
+            radii,
             gap,
             (overlap / 0.3).tanh(),
             (overlap / 0.05).tanh(),
@@ -335,8 +335,8 @@ def kinds(table: SceneTable) -> Tensor:
     numbers = torch.arange(count, device=table.xy.device)
     is_cargo, is_stick = numbers < table.cargo, numbers == table.stick
     sizes = torch.stack([traits.height_m, traits.disc_m, traits.support_m], -1)
-    told = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
-    kind = torch.cat([torch.stack(told, -1).float(), sizes / _UNIT_M], -1)
+    flags = [is_cargo, is_stick, traits.graspable, traits.draggable, traits.faceted]
+    kind = torch.cat([torch.stack(flags, -1).float(), sizes / _UNIT_M], -1)
     there = table.present[..., None].float()
     level = (raised(table) / _UNIT_M)[..., None]
     heading = torch.stack([table.yaw.cos(), table.yaw.sin()], -1)

@@ -81,7 +81,7 @@ class SceneTable:
     """Height of the upper face of what is moved [m], (B, E); 0 for the rest."""
     bases: Tensor
     """Positions of the robots' bases [m], (B, R, 2)."""
-    rings: Tensor
+    radii: Tensor
     """Radii between which each robot works, and up to which it holds things low, as at
     the end of a drag [m], (B, R, 3): inner, outer, low."""
     ground: Tensor
@@ -127,7 +127,7 @@ class SceneTable:
         """
         extra = (1,) * (points.dim() - 2)
         bases = self.bases.view(len(self), -1, *extra, 2)
-        inner, outer, lowest = self.rings.view(len(self), -1, *extra, 3).unbind(-1)
+        inner, outer, lowest = self.radii.view(len(self), -1, *extra, 3).unbind(-1)
         distance = (points.unsqueeze(1) - bases).norm(dim=-1)
         return torch.minimum(distance - inner, (lowest if low else outer) - distance)
 
@@ -152,8 +152,8 @@ class SceneTable:
             for (name, (x, y)), seen in zip(named, there, strict=True)
             if seen
         )
-        bases = zip(self.bases[row].tolist(), self.rings[row].tolist(), strict=True)
-        robots = (SeenRobot((x, y), (ring[0], ring[1])) for (x, y), ring in bases)
+        bases = zip(self.bases[row].tolist(), self.radii[row].tolist(), strict=True)
+        robots = (SeenRobot((x, y), (r[0], r[1])) for (x, y), r in bases)
         return tuple(objects), tuple(robots)
 
     def rows(self, index: Tensor) -> Self:
@@ -207,13 +207,13 @@ def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
 
 
 def true_table(
-    labels: Labels, rings: Tensor, raster: Raster, entities: EntitySet = BENCHMARK
+    labels: Labels, radii: Tensor, raster: Raster, entities: EntitySet = BENCHMARK
 ) -> SceneTable:
     """Return the table of perfect perception.
 
     Args:
         labels: Where everything is.
-        rings: Radii of reach, (B, R, 3) [m].
+        radii: Radii of reach, (B, R, 3) [m].
         raster: Raster of the maps.
         entities: Entities whose numbers the labels have.
     """
@@ -235,7 +235,7 @@ def true_table(
         yaw=torch.where(present, yaw, 0.0),
         top=torch.where(present, top, 0.0),
         bases=labels.bases[..., :2],
-        rings=rings,
+        radii=radii,
         ground=ground_of(labels.gap_m, raster.size_m[0] / 2),
         half_x_m=raster.size_m[0] / 2,
         entities=entities,
@@ -290,7 +290,7 @@ def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
         yaw=torch.where(present, jitter(table.yaw, noise.yaw_rad), 0.0),
         top=torch.where(present, jitter(table.top, noise.height_m), 0.0),
         bases=jitter(table.bases, noise.base_m),
-        rings=jitter(table.rings, noise.base_m),
+        radii=jitter(table.radii, noise.base_m),
     )
 
 
@@ -306,7 +306,7 @@ def turned(table: SceneTable) -> SceneTable:
         xy=torch.where(table.present.unsqueeze(-1), -table.xy, FAR_M),
         yaw=yaw,
         bases=-table.bases.flip(1),
-        rings=table.rings.flip(1),
+        radii=table.radii.flip(1),
         ground=table.ground.flip(1),
     )
 

@@ -324,8 +324,8 @@ def _receiver(margins: Tensor) -> Tensor:
     rows = []
     for i in range(robots):
         others = [margins[:, j, i, 1] for j in range(robots) if j != i]
-        given = torch.stack(others).amax(0)
-        rows.append(torch.stack([margins[:, i, i, 0], given], 1))
+        best_other = torch.stack(others).amax(0)
+        rows.append(torch.stack([margins[:, i, i, 0], best_other], 1))
     return torch.stack(rows, 1)
 
 

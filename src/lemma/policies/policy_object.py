@@ -25,7 +25,7 @@ from lemma.policies.spec import (
 )
 
 
-class GivenPolicy(PolicySpec):
+class PolicyObjectSpec(PolicySpec):
     """A policy that is an object of this process, not a name: no other one has it."""
 
     _held: object
@@ -41,7 +41,7 @@ class GivenPolicy(PolicySpec):
         gta: bool = False,
         acting: str = ACTINGS[0],
         adapter: str = "",
-    ) -> "GivenPolicy":
+    ) -> "PolicyObjectSpec":
         """Return the spec of an object.
 
         Args:
