@@ -230,12 +230,12 @@ class RayTracer:
             ]
             places.append(_places(data))
             cameras.append([_camera_row(camera) for camera in seen])
-        camera_rows = np.array(cameras)
-        together = states_at_once(*self._size, camera_rows.shape[1])
+        rows = np.array(cameras)
+        together = states_at_once(*self._size, rows.shape[1])
         try:
             parts = [
                 self._trace(
-                    places[i : i + together], camera_rows[i : i + together], depth=depth
+                    places[i : i + together], rows[i : i + together], depth=depth
                 )
                 for i in range(0, len(qpos), together)
             ]
@@ -278,15 +278,11 @@ class RayTracer:
         self._scene = scene
 
     def _trace(
-        self,
-        places: list[tuple[FloatArray, ...]],
-        camera_rows: FloatArray,
-        *,
-        depth: bool,
+        self, places: list[tuple[FloatArray, ...]], rows: FloatArray, *, depth: bool
     ) -> Pictures:
         """Render states that fit into one launch."""
         warp, tracer = _packages()
-        states, cameras = camera_rows.shape[:2]
+        states, cameras = rows.shape[:2]
         context = self._context(cameras, depth=depth)
         geoms, turns, lamps, beams = (
             np.array(part) for part in zip(*places, strict=True)
@@ -299,10 +295,8 @@ class RayTracer:
             nworld=states,
             geom_xpos=put(geoms, warp.vec3),
             geom_xmat=put(turns.reshape(*turns.shape[:2], 3, 3), warp.mat33),
-            cam_xpos=put(camera_rows[..., :3], warp.vec3),
-            cam_xmat=put(
-                camera_rows[..., 3:12].reshape(states, cameras, 3, 3), warp.mat33
-            ),
+            cam_xpos=put(rows[..., :3], warp.vec3),
+            cam_xmat=put(rows[..., 3:12].reshape(states, cameras, 3, 3), warp.mat33),
             light_xpos=put(lamps, warp.vec3),
             light_xdir=put(beams, warp.vec3),
             flexvert_xpos=warp.empty((states, 0), dtype=warp.vec3),
@@ -310,7 +304,7 @@ class RayTracer:
         model = replace(
             self._model,
             cam_projection=warp.zeros(cameras, dtype=int),
-            cam_fovy=put(camera_rows[..., 12], float),
+            cam_fovy=put(rows[..., 12], float),
             cam_sensorsize=warp.zeros(cameras, dtype=warp.vec2),
             cam_intrinsic=warp.zeros((1, cameras), dtype=warp.vec4),
         )
