@@ -10,6 +10,7 @@ from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.language.bank import say_rule
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import Task
@@ -61,10 +62,12 @@ def sample(
     least, most = task.distractors
     distractors = int(stream(*key, "distractors").integers(least, most + 1))
     order = _draw_order(layout, stream(*key, "order"))
+    rule = str(stream(*key, "rule").choice(task.rules)) if task.rules else ""
     for rejected in range(_ATTEMPTS):
         try:
             robots, gap_m = _place_team(task, chosen, order, rng)
             placer = ObjectPlacer(robots, rng, order, gap_m)
+            placer.rule = rule
             goal = task.arrange(placer)
             extra = tuple(_distract(placer) for _ in range(distractors))
             placer.check(goal)
@@ -78,7 +81,7 @@ def sample(
             index=index,
             scene=SceneSpec(robots, tuple(shuffled), gap_m),
             goal=goal,
-            instructions=_instruct(task, goal, key),
+            instructions=_instruct(task, goal, key, robots),
             distractors=extra,
         )
         return Sample(instance, rejected)
@@ -128,8 +131,19 @@ def _distract(placer: ObjectPlacer) -> str:
     return put(placer.anywhere())
 
 
-def _instruct(task: Task, goal: Goal, key: tuple[str | int, ...]) -> dict[str, str]:
-    return {
+def _instruct(
+    task: Task,
+    goal: Goal,
+    key: tuple[str | int, ...],
+    robots: tuple[RobotPlacement, ...],
+) -> dict[str, str]:
+    said = {
         kind: task.language.instruct(kind, goal.pairs, stream(*key, "language", kind))
         for kind in KINDS
+    }
+    if (rule := goal.rule) is None:
+        return said
+    return {
+        kind: say_rule(rule, kind, what, robots, stream(*key, "language", kind, "rule"))
+        for kind, what in said.items()
     }

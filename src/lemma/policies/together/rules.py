@@ -103,7 +103,9 @@ class OracleTeam(Oracle):
 
 def _take(plan: _Plan, given: TeamOracleInput) -> list[SubTask]:
     """Return the steps of a plan that can begin now, one for each free robot."""
-    needs = predecessors(plan.steps, tuple(given.episode.instance.scene.regions))
+    instance = given.episode.instance
+    regions = tuple(instance.scene.regions)
+    needs = predecessors(plan.steps, regions, instance.goal.rule)
     settled = given.team.settled(given.team.observe())
     busy = {d.subtask for name, d in given.doing.items() if name not in settled}
     missing = {*plan.todo, *(k for k, one in enumerate(plan.steps) if one in busy)}

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from lemma.core.poses import Pose2
+from lemma.core.robot_names import robot_name
 from lemma.core.seeding import ordered_sum
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.spec import ObjectPlacement
@@ -25,12 +26,15 @@ def needed(
 ) -> tuple[int, ...]:
     """Return the robots without whom the others could not reach a goal.
 
+    A robot that a rule excludes is none of them, and none of the others.
+
     Args:
         territory: Reach of the team.
         objects: Everything on the table.
         goal: The goal, of things that lie on others.
     """
-    team = range(len(territory.robots))
+    excluded = goal.rule.robot if goal.rule is not None else None
+    team = [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
     return tuple(
         absent
         for absent in team
