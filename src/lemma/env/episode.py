@@ -189,7 +189,7 @@ class Episode:
         if not self.is_over or self.is_success:
             return None
         if self.has_failed:
-            return str(Outcome.THROWN if self.is_thrown else Outcome.RULE)
+            return str(Outcome.THROWN if self.broken is None else Outcome.RULE)
         if self.out_of_time:
             return str(Outcome.OUT_OF_TIME)
         failed = [done.result.outcome for done in self.executed if not done.result.ok]
