@@ -107,7 +107,7 @@ def test_the_planner_keeps_the_rule_and_would_not_have_to(kind: str) -> None:
 
 
 def test_nothing_but_the_sentence_tells_who_must_not_act() -> None:
-    """The excluded robot and its fellow reach as much, and one stands first as often."""
+    """The excluded robot and its fellow reach as much; either stands first."""
     first = 0
     found = of_kind("without")
     for one in found:

@@ -16,7 +16,7 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
-from lemma.tasks.teams.rule import RuleState, RuleWatch
+from lemma.tasks.teams.rule_watch import RuleState, RuleWatch
 
 LEAST_STEP_S = 1.0
 """Simulated time that a step takes at least, so that every episode ends [s]."""
@@ -79,7 +79,7 @@ class Episode:
     time is the judge's: ``elapsed_s`` does not count it. Before the end the same
     question is answered for the present moment. An episode in which an object was
     thrown (:mod:`lemma.scene.coasting`), or the rule of the goal broken
-    (:mod:`lemma.tasks.teams.rule`), ends then and has failed.
+    (:mod:`lemma.tasks.teams.rule_watch`), ends then and has failed.
     """
 
     def __init__(

@@ -75,8 +75,8 @@ def to_pddl(
         grounder: Of the same scene.
 
     Raises:
-        InvalidConfigError: The goal is about hands or has a rule, or there is no plan of
-            moves alone: dragging with the stick is geometry, not symbols.
+        InvalidConfigError: The goal is about hands or has a rule, or there is no plan
+            of moves alone: dragging with the stick is geometry, not symbols.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(

@@ -174,9 +174,7 @@ def test_who_takes_every_cube_touches_that_one() -> None:
 
 
 def test_control_steps_end_with_a_broken_rule() -> None:
-    env = lemma.make(
-        "exchange", level="control", split="val", index=index_of("after")
-    )
+    env = lemma.make("exchange", level="control", split="val", index=index_of("after"))
     env.reset()
     inner = env.unwrapped
     assert isinstance(inner, ControlEnv)
