@@ -67,7 +67,7 @@ class EpisodeSnapshot:
     until_s: float = 0.0
     """Simulated time up to which they are carried out [s]."""
     rule: RuleState | None = None
-    """What is known of the rule, if the goal has one."""
+    """State of the rule, if the goal has one."""
 
 
 class Episode:

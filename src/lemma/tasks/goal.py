@@ -186,7 +186,7 @@ class Goal:
 
     conjuncts: tuple[Predicate, ...]
     rule: Rule | None = None
-    """What must not happen before; see :mod:`lemma.tasks.teams.rule`."""
+    """Forbids something before; see :mod:`lemma.tasks.teams.rule`."""
 
     def __post_init__(self) -> None:
         """Check that it asks for something.

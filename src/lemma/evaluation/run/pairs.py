@@ -15,7 +15,7 @@ from lemma.tasks.teams.pairs import Pair, sample_pair
 
 @dataclass(frozen=True, slots=True)
 class PlayedPair:
-    """What a policy made of a pair."""
+    """A policy's record with a pair."""
 
     index: int
     solved: bool
@@ -27,7 +27,7 @@ class PlayedPair:
     explained: bool
     """Whether it named all that is out of reach, and nothing else of the goal."""
     reason: str
-    """What it said then."""
+    """Its words then."""
 
     @property
     def right(self) -> bool:

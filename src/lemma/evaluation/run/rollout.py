@@ -125,7 +125,7 @@ class Rollout:
     protective_stop: Verdict | None = None
     """How it stood at its strict end, if a protective stop was that."""
     refusal: str | None = None
-    """What the policy said as it stopped before anything was done; None if it acted."""
+    """Words of the policy as it stopped before it did anything; None if it acted."""
 
     def __post_init__(self) -> None:
         """Set the table."""

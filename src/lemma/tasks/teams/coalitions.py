@@ -46,7 +46,7 @@ def needed(
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """What keeps a team from a part of a goal, whatever it does."""
+    """Reason why a team cannot reach a part of a goal, whatever it does."""
 
     part: On
     getters: tuple[int, ...]

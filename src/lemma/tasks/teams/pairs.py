@@ -1,8 +1,8 @@
 """Pairs of one table and one sentence: one team can do it, and another one cannot.
 
-Only the arms differ. What the second team lacks is proven as zones are, by the bound of
-any posture (:mod:`lemma.tasks.teams.coalitions`). Either both arms are smaller, or the
-same two stand the other way round: the types of the arms do not tell.
+Only the arms differ. The lack of the second team is proven as zones are, by the bound
+of any posture (:mod:`lemma.tasks.teams.coalitions`). Either both arms are smaller, or
+the same two stand the other way round: the types of the arms do not tell.
 """
 
 from dataclasses import dataclass, replace
@@ -48,7 +48,7 @@ class Pair:
     able: Instance
     unable: Instance
     lack: Lack
-    """What the team of the second one lacks."""
+    """Reason why the team of the second one cannot do it."""
     rejected: int = 0
     """Tables that were drawn before, on which the second team might do it, or cannot
     see everything."""

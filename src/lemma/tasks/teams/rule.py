@@ -22,7 +22,7 @@ Has = Callable[[str, str], bool]
 
 
 class Rule(ABC):
-    """What must not happen on the way to a goal; plain data."""
+    """Forbids something on the way to a goal; plain data."""
 
     kind: ClassVar[str]
 
@@ -47,7 +47,7 @@ class Rule(ABC):
 
         Args:
             subtask: In symbols.
-            has: What lies on what before it.
+            has: The supports of objects before it.
         """
 
     def orders(self, earlier: SubTask, later: SubTask) -> bool:
