@@ -1,12 +1,13 @@
 """From a key to an instance: rejection sampling with named random streams."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.seeding import stream
-from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
@@ -73,13 +74,11 @@ def sample(
             placer.check(goal)
         except PlacementError:
             continue
-        there = placer.objects
-        shuffled = [there[int(i)] for i in rng.permutation(len(there))]
         instance = Instance(
             task=task.name,
             split=split,
             index=index,
-            scene=SceneSpec(robots, tuple(shuffled), gap_m),
+            scene=SceneSpec(robots, _shuffled(placer.objects, rng), gap_m),
             goal=goal,
             instructions=_instruct(task, goal, key, robots),
             distractors=extra,
@@ -89,6 +88,12 @@ def sample(
         f"No table for task {task.name!r} with team {'+'.join(chosen)} in {_ATTEMPTS} "
         "attempts. Loosen the zones in its arrange(), or ask for fewer objects."
     )
+
+
+def _shuffled(
+    objects: Sequence[ObjectPlacement], rng: np.random.Generator
+) -> tuple[ObjectPlacement, ...]:
+    return tuple(objects[int(i)] for i in rng.permutation(len(objects)))
 
 
 def _draw_team(task: Task, rng: np.random.Generator) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """The families of the suite ``teams``: tasks for three and four robots."""
 
 from lemma.core.robot_names import robot_name
+from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
@@ -121,7 +122,7 @@ def arrange_exchange(placer: ObjectPlacer) -> Goal:
     if placer.rule == But.kind:
         # Two have each other's cubes, of which one stays. Colors say what belongs.
         pads = [placer.pad(placer.only(robot)) for robot in (one, other, third)]
-        colors = [pad.removesuffix("_pad") for pad in pads]
+        colors = [entity_named(pad).color for pad in pads]
         zones = map(placer.only, (other, one, third))
         cubes = [placer.cube(*there) for there in zip(zones, colors, strict=True)]
         moved = (1 - chosen, 2)
