@@ -6,6 +6,7 @@ import lemma
 from lemma.core.poses import Pose
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
+from lemma.env.team.team_env import TeamPlanEnv
 from lemma.expert.expert import Expert, solve
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
@@ -195,8 +196,10 @@ def test_orders_of_a_team_end_with_a_broken_rule() -> None:
     )
     _, info = env.reset()
     assert info["rule"]["rule"][0] == "without"
-    name = excluded_from(env.unwrapped.instance)
-    action, over = env.unwrapped.encode(env.unwrapped.valid_orders(name)[0]), False
+    team = env.unwrapped
+    assert isinstance(team, TeamPlanEnv)
+    name = excluded_from(team.instance)
+    action, over = team.encode(team.valid_orders(name)[0]), False
     while not over:
         _, reward, over, _, info = env.step(action)
         action = {}
@@ -219,6 +222,8 @@ def test_a_snapshot_in_the_midst_keeps_what_has_been_true() -> None:
         one.stop()
     ends = [one.simulation.scene.state_hash() for one in (episode, again)]
     assert ends[0] == ends[1]
+    assert again.rule is not None
+    assert episode.rule is not None
     assert again.rule.state() == episode.rule.state()
 
 
