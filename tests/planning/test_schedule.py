@@ -16,9 +16,10 @@ from lemma.evaluation.protocol.schedules import (
     team_times,
 )
 from lemma.planning.schedule import Schedule, in_order
+from lemma.tasks.names import FAMILIES
 from lemma.tasks.suite import load_instance
 
-TASKS = ("relay", "line", "carousel", "sort", "tower", "pass2", "stack2")
+TASKS = (*FAMILIES, "pass2", "stack2")
 
 
 @cache

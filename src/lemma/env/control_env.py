@@ -139,7 +139,7 @@ class ControlEnv(LemmaEnv):
             # Time has passed since.
             self._goal_progress = None
         reward = self.rewards.reward(episode)
-        terminated = episode.stopped or episode.is_thrown
+        terminated = episode.stopped or episode.has_failed
         return reward, terminated, episode.out_of_time and not terminated
 
     def _remember(self) -> dict[str, Any]:

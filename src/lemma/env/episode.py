@@ -13,8 +13,10 @@ from lemma.env.stages import StageState, StageWatch
 from lemma.motion.leaving import NOTHING_LEAVES
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.scene.build import TIME_STEP_S
+from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
+from lemma.tasks.teams.rule_watch import RuleState, RuleWatch
 
 LEAST_STEP_S = 1.0
 """Simulated time that a step takes at least, so that every episode ends [s]."""
@@ -64,6 +66,8 @@ class EpisodeSnapshot:
     """Sub-tasks given since, if robots are busy; restoring carries them out anew."""
     until_s: float = 0.0
     """Simulated time up to which they are carried out [s]."""
+    rule: RuleState | None = None
+    """State of the rule, if the goal has one."""
 
 
 class Episode:
@@ -74,7 +78,8 @@ class Episode:
     what the goal says. That
     time is the judge's: ``elapsed_s`` does not count it. Before the end the same
     question is answered for the present moment. An episode in which an object was
-    thrown (:mod:`lemma.scene.coasting`) ends then and has failed.
+    thrown (:mod:`lemma.scene.coasting`), or the rule of the goal broken
+    (:mod:`lemma.tasks.teams.rule_watch`), ends then and has failed.
     """
 
     def __init__(
@@ -100,6 +105,8 @@ class Episode:
         self.horizon_s = real("horizon_s", horizon_s, TICK_S)
         self.simulation = Simulation(instance.scene, actuation)
         self.stages = StageWatch(self.simulation, instance.goal)
+        self.rule = _watch_rule(self.simulation, instance.goal)
+        """Watches the rule of the goal; None where there is none."""
         self.executed: list[ExecutedSubTask] = []
         self.stopped = False
         self._ended_s: float | None = None
@@ -122,8 +129,18 @@ class Episode:
 
     @property
     def is_over(self) -> bool:
-        """Whether somebody said ``stop``, the time is up or something was thrown."""
-        return self.stopped or self.is_thrown or self.out_of_time
+        """Whether somebody said ``stop``, the time is up or it has failed already."""
+        return self.stopped or self.has_failed or self.out_of_time
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether an object was thrown, or the rule of the goal broken."""
+        return self.is_thrown or self.broken is not None
+
+    @property
+    def broken(self) -> str | None:
+        """How the rule of the goal was broken, if it was, as a sentence."""
+        return None if self.rule is None else self.rule.broken
 
     @property
     def is_thrown(self) -> bool:
@@ -159,9 +176,7 @@ class Episode:
         """Return :attr:`is_success` for the present share of the goal."""
         if self._verdict is not None:
             return self._verdict
-        if self.is_thrown:
-            return False
-        if goal_progress < 1.0:
+        if self.has_failed or goal_progress < 1.0:
             return False
         return set(self.simulation.held().values()) <= self.instance.goal.held
 
@@ -173,8 +188,8 @@ class Episode:
         """
         if not self.is_over or self.is_success:
             return None
-        if self.is_thrown:
-            return str(Outcome.THROWN)
+        if self.has_failed:
+            return str(Outcome.THROWN if self.broken is None else Outcome.RULE)
         if self.out_of_time:
             return str(Outcome.OUT_OF_TIME)
         failed = [done.result.outcome for done in self.executed if not done.result.ok]
@@ -290,6 +305,7 @@ class Episode:
             self.stopped,
             self._ended_s,
             self._verdict,
+            rule=None if self.rule is None else self.rule.state(),
         )
 
     def restore(self, snapshot: EpisodeSnapshot) -> None:
@@ -312,6 +328,8 @@ class Episode:
         self.stopped = snapshot.stopped
         self._ended_s, self._verdict = snapshot.ended_s, snapshot.verdict
         self._quiet = None
+        if self.rule is not None and snapshot.rule is not None:
+            self.rule.restore(snapshot.rule)
         if snapshot.begun:
             self._catch_up(snapshot)
 
@@ -319,6 +337,7 @@ class Episode:
         """Carry out anew all that had begun in a snapshot."""
         observers = self.simulation.observers
         kept, observers[:] = tuple(observers), [self.stages.look]
+        observers += [] if self.rule is None else [self.rule.look]
         try:
             for one in snapshot.begun:
                 self._pass_until(one.start_s)
@@ -356,6 +375,25 @@ class Episode:
             "failure": self.failure,
             "fallen": list(self.fallen),
             "thrown": list(self.thrown),
+            **({} if self.rule is None else {"rule": self.rule.info()}),
             "instruction": self.instance.instructions["high_level"],
             "instance": self.instance.key,
         }
+
+
+def _watch_rule(simulation: Simulation, goal: Goal) -> RuleWatch | None:
+    """Watch the rule of a goal, if it has one; what breaks it ends all sub-tasks."""
+    if goal.rule is None:
+        return None
+    parts = {(on.top, on.bottom): on for on in goal.placements}
+    watch = RuleWatch(simulation.scene, goal.rule, parts)
+    coasting = simulation.scene.coasting
+
+    def note() -> None:
+        coasting.note()
+        watch.note()
+
+    # None of these holds the simulation, which would be a circle.
+    simulation.note, simulation.fault = note, lambda: watch.broken
+    simulation.observers.append(watch.look)
+    return watch

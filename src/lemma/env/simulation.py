@@ -13,12 +13,17 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
-from lemma.env.snapshots import ArmSnapshot, RobotClock, SimulationSnapshot
+from lemma.env.snapshots import (
+    ArmSnapshot,
+    RobotClock,
+    Running,
+    SimulationSnapshot,
+)
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.leaving import NOTHING_LEAVES
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import Reservations
-from lemma.motion.skills import Skill, SkillRunner
+from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.overlaps import check_layout
@@ -37,6 +42,7 @@ Pace = Callable[[str, float, float], float]
 usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
+_FINAL = (Outcome.OUT_OF_TIME, Outcome.THROWN, Outcome.RULE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,30 +53,6 @@ class Ended:
     result: SkillResult
     start_s: float
     """Simulated time at which it began [s]."""
-
-
-@dataclass(slots=True)
-class _Running:
-    """A sub-task that is being executed."""
-
-    subtask: GroundedSubTask
-    skill: Skill
-    start_s: float
-    until_s: float
-    fallen: tuple[str, ...]
-    """Objects that had fallen off the table before it began."""
-    looked_s: float = -math.inf
-    """Simulated time at which the skill last looked at the world [s]."""
-    due: float = 1.0
-    """Looks that it has not made yet; a slow robot's skill looks less often."""
-
-    def looks(self, now_s: float, pace: float) -> bool:
-        """Whether the skill looks at the world now; it does so once in a servo tick."""
-        if self.looked_s == now_s:
-            return False
-        self.looked_s, due = now_s, self.due + pace
-        self.due = due - 1.0 if due >= 1.0 else due
-        return due >= 1.0
 
 
 class Simulation:
@@ -93,10 +75,14 @@ class Simulation:
         }
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
+        self.note: Callable[[], None] = self.scene.coasting.note
+        """Called after every physics step."""
+        self.fault: Callable[[], str | None] = lambda: None
+        """Returns why the episode has failed, if that breaks off what robots do."""
         self.pace: Pace | None = None
         """How fast busy robots are; all as fast as they can if None."""
         self._skills = SkillRunner(self.arms)
-        self._running: dict[str, _Running] = {}
+        self._running: dict[str, Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
         self._commands = np.empty((STEPS_PER_TICK, self.scene.model.nu))
         for arm in self.arms.values():
@@ -138,7 +124,7 @@ class Simulation:
             PhysicsError: The state has become infinite, or no number at all.
         """
         model, data = self.scene.model, self.scene.data
-        note, start = self.scene.coasting.note, data.time
+        note, start = self.note, data.time
         if active:
             # The reference of RMPflow does not depend on the physics within a tick.
             control, commands = self._control, self._commands
@@ -227,7 +213,7 @@ class Simulation:
         self._skills.staying.work(subtask.robot)
         self._skills.leaving.note(subtask.robot, leaving)
         skill = self._skills.run(subtask)
-        self._running[subtask.robot] = _Running(
+        self._running[subtask.robot] = Running(
             subtask, skill, self.time_s, until_s, self.scene.fallen
         )
 
@@ -289,24 +275,25 @@ class Simulation:
             except BaseException:
                 self._free(name)
                 raise
-            if result is None and self.scene.coasting.thrown:
-                result = SkillResult(
-                    Outcome.THROWN,
-                    "Moved on without a robot: "
-                    f"{', '.join(self.scene.coasting.thrown)}.",
-                    self.time_s - running.start_s,
-                )
-            if result is None and self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
-                result = SkillResult(
-                    Outcome.OUT_OF_TIME,
-                    f"The episode ended at {running.until_s:g} s.",
-                    self.time_s - running.start_s,
-                )
+            result = result or self._broken_off(running)
             if result is not None:
                 self._free(name)
                 result = self._with_losses(result, running.fallen)
                 ended.append(Ended(running.subtask, result, running.start_s))
         return tuple(ended)
+
+    def _broken_off(self, running: Running) -> SkillResult | None:
+        """Return how a sub-task ends that must not go on, None if it may."""
+        took_s, thrown = self.time_s - running.start_s, self.scene.coasting.thrown
+        if (fault := self.fault()) is not None:
+            return SkillResult(Outcome.RULE, fault, took_s)
+        if thrown:
+            said = f"Moved on without a robot: {', '.join(thrown)}."
+            return SkillResult(Outcome.THROWN, said, took_s)
+        if self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
+            said = f"The episode ended at {running.until_s:g} s."
+            return SkillResult(Outcome.OUT_OF_TIME, said, took_s)
+        return None
 
     def _free(self, robot: str) -> None:
         """End what a robot does, and count the time it took."""
@@ -321,7 +308,7 @@ class Simulation:
     def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
         """Return a result that tells what fell off the table, if something did."""
         fell = [name for name in self.scene.fallen if name not in before]
-        if not fell or result.outcome in (Outcome.OUT_OF_TIME, Outcome.THROWN):
+        if not fell or result.outcome in _FINAL:
             return result
         explanation = "" if result.ok else f"{result.explanation} "
         explanation += f"The {' and the '.join(fell)} fell off the table."

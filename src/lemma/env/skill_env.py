@@ -61,7 +61,7 @@ class SubTaskEnv(LemmaEnv):
         episode.linger(start)
         reward = self.rewards.reward(episode)
         info = self.info()
-        terminated = episode.stopped or episode.is_thrown
+        terminated = episode.stopped or episode.has_failed
         truncated = episode.out_of_time and not terminated
         return self.observe(), reward, terminated, truncated, info
 

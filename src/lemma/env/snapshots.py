@@ -1,11 +1,14 @@
-"""States of a simulation that can be kept and gone back to, and clocks of robots."""
+"""States of a simulation that can be kept, clocks of robots, and what they are at."""
 
+import math
 from dataclasses import dataclass
 
 from lemma.core.poses import FloatArray
 from lemma.motion.reservations import WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
+from lemma.motion.skills import Skill
 from lemma.scene.coasting import CoastingState
+from lemma.tasks.subtask import GroundedSubTask
 
 
 @dataclass
@@ -44,3 +47,27 @@ class SimulationSnapshot:
     """How far each object has moved by itself."""
     waiting: WaitingTimes
     """How long arms waited for others so far."""
+
+
+@dataclass(slots=True)
+class Running:
+    """A sub-task that is being executed."""
+
+    subtask: GroundedSubTask
+    skill: Skill
+    start_s: float
+    until_s: float
+    fallen: tuple[str, ...]
+    """Objects that had fallen off the table before it began."""
+    looked_s: float = -math.inf
+    """Simulated time at which the skill last looked at the world [s]."""
+    due: float = 1.0
+    """Looks that it has not made yet; a slow robot's skill looks less often."""
+
+    def looks(self, now_s: float, pace: float) -> bool:
+        """Whether the skill looks at the world now; it does so once in a servo tick."""
+        if self.looked_s == now_s:
+            return False
+        self.looked_s, due = now_s, self.due + pace
+        self.due = due - 1.0 if due >= 1.0 else due
+        return due >= 1.0

@@ -96,7 +96,8 @@ class TeamWork:
         before = [subtask for _, subtask in running if subtask is not None]
         self._steps = (*before, *steps)
         regions = tuple(team.episode.instance.scene.regions)
-        self._needs = predecessors(self._steps, regions)
+        rule = team.episode.instance.goal.rule
+        self._needs = predecessors(self._steps, regions, rule)
         self._todo = list(range(len(before), len(self._steps)))
         names = [name for name, subtask in running if subtask is not None]
         self._numbers = {name: number for number, name in enumerate(names)}

@@ -27,6 +27,9 @@ class Outcome(StrEnum):
     THROWN = "thrown"
     """An object flew, or moved on by itself; the episode has failed. See
     :mod:`lemma.scene.coasting`."""
+    RULE = "rule"
+    """The rule of the goal was broken; the episode has failed. See
+    :mod:`lemma.tasks.teams.rule`."""
     COLLISION = "collision"
     """Something was in the way."""
     TIMEOUT = "timeout"

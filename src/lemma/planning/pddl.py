@@ -75,19 +75,20 @@ def to_pddl(
         grounder: Of the same scene.
 
     Raises:
-        InvalidConfigError: The goal is about hands, or the planner finds no plan of
-            moves alone: dragging with the stick is geometry, not symbols.
+        InvalidConfigError: The goal is about hands or has a rule, or there is no plan
+            of moves alone: dragging with the stick is geometry, not symbols.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
         step.primitive is Primitive.MOVE and step.pick != STICK
         for step in plan.subtasks
     )
-    if not moves or not all(isinstance(part, On) for part in goal.conjuncts):
+    placed = all(isinstance(part, On) for part in goal.conjuncts)
+    if not moves or not placed or goal.rule is not None:
         raise InvalidConfigError(
             f"{name} cannot be told in PDDL: its goal is not reached by moving cubes "
-            "alone. Choose an instance of a task without the stick and without hands "
-            "in its goal, such as relay."
+            "alone. Choose an instance of a task without the stick, and without hands "
+            "or a rule in its goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

@@ -118,6 +118,8 @@ def find_plan(
         done.add(state.key)
         elapsed = ordered_sum(step.duration_s for step in steps)
         for subtask in candidates(state, goal, robots, grounder):
+            if not goal.permits(subtask, state.has):
+                continue
             step = grounder.ground(subtask, state)
             if step is None or elapsed + step.duration_s > limit_s:
                 continue

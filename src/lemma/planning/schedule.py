@@ -25,6 +25,7 @@ from lemma.planning.planner import Plan, utility
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive, SubTask
+from lemma.tasks.teams.rule import Rule
 
 PICKED = 0.41
 """Share of its time after which a sub-task has picked; mean of 38 executed ones."""
@@ -257,17 +258,19 @@ def _distance_m(point: Pose2, line: Line) -> float:
 
 
 def predecessors(
-    steps: Sequence[SubTask], regions: Sequence[str]
+    steps: Sequence[SubTask], regions: Sequence[str], rule: Rule | None = None
 ) -> tuple[dict[int, str], ...]:
     """Return for each sub-task of a plan the earlier ones that it depends on.
 
     Args:
         steps: The plan.
         regions: Places that are no objects, and have room for several.
+        rule: That of the goal.
 
     Returns:
         For each, earlier ones that touch or put down what it picks or drags
-        (``"pick"``), or only what it puts something on (``"place"``).
+        (``"pick"``), or only what it puts something on (``"place"``); this too where
+        a rule wants their effect before its own.
     """
     found = []
     for j, step in enumerate(steps):
@@ -278,6 +281,8 @@ def predecessors(
                 needs[i] = "pick"
             elif step.place in things:
                 needs[i] = "place" if step.primitive is Primitive.MOVE else "pick"
+            elif rule is not None and rule.orders(earlier, step):
+                needs[i] = "place"
         found.append(needs)
     return tuple(found)
 
@@ -294,12 +299,13 @@ def pose_jobs(
         grounder: Says what can be done.
     """
     names, jobs = tuple(grounder.robots), []
-    needs = predecessors(plan.subtasks, tuple(now.spec.regions))
+    needs = predecessors(plan.subtasks, tuple(now.spec.regions), goal.rule)
     for step, needed in zip(plan.steps, needs, strict=True):
         options = {}
         for robot in names:
-            option = grounder.ground(replace(step.subtask, robot=robot), now)
-            if option is not None:
+            given = replace(step.subtask, robot=robot)
+            option = grounder.ground(given, now)
+            if option is not None and goal.permits(given, now.has):
                 options[robot] = option
         lines = {
             robot: (

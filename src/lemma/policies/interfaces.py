@@ -161,7 +161,8 @@ class Decision:
     grounded: GroundedSubTask | None
     """With poses; None to stop, or where no pose was found."""
     explanation: str = ""
-    """Why there is no pose, or any other remark."""
+    """Why there is no pose, or any other remark; with a first decision to stop, why
+    this team cannot do what is asked: it refuses."""
     failed: str = ""
     """A kind of fault where there is no decision, which costs this episode alone; then
     the sub-task is ``STOP``."""

@@ -17,7 +17,10 @@ from lemma.policies.interfaces import (
     PolicyInput,
     proposals,
 )
+from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
+from lemma.tasks.teams.coalitions import lack_of
+from lemma.tasks.zones import Territory
 
 
 @dataclass
@@ -46,6 +49,15 @@ class OraclePlanner(Oracle):
             InvalidConfigError: The inputs come without the truth.
         """
         return [self._plan(truth_of(policy_input)) for policy_input in inputs]
+
+    def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
+        """Return the same; where nobody could do it, who lacks what."""
+        found = []
+        for policy_input, subtask in zip(inputs, self.plan(inputs), strict=True):
+            begins = not policy_input.past and subtask.primitive is Primitive.STOP
+            why = _refusal(truth_of(policy_input)) if begins else ""
+            found.append(Decision(subtask, None, why))
+        return found
 
     def _plan(self, episode: Episode) -> SubTask:
         answer = self._answers.get(episode)
@@ -128,6 +140,14 @@ class GroundTruthAllocation(Oracle):
         if not able:
             return subtask
         return max(able, key=lambda step: step.quality).subtask
+
+
+def _refusal(episode: Episode) -> str:
+    """Return what keeps the team from the goal; nothing if it is not known."""
+    instance = episode.instance
+    territory = Territory(instance.scene.robots, instance.scene.gap_m)
+    lack = lack_of(territory, instance.scene.objects, instance.goal)
+    return "" if lack is None else lack.words(robot_phrases(instance.scene.robots))
 
 
 def truth_of(policy_input: PolicyInput) -> Episode:

@@ -25,6 +25,8 @@ from lemma.scene.objects.contacts import LEFT, RIGHT, find_touches
 from lemma.scene.objects.entity import HAND, kind_of
 from lemma.scene.objects.kind import Point
 from lemma.scene.scene import Scene
+from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.rule import Has, Rule
 
 REST_M_S = 0.01
 """An object at rest is slower than this [m/s]. After a second of rest it moves at less
@@ -86,6 +88,21 @@ class On:
             and not {self.top, self.bottom} & set(scene.fallen)
             and _carries_alone(scene, self.bottom, self.top)
         )
+
+    def lies(self, scene: Scene) -> bool:
+        """Whether the top lies there now at all, be it askew or against something.
+
+        Over the part of the bottom that may carry it, they touch; the top is at rest,
+        and no robot touches it. All that :meth:`holds` wants it to be besides may come
+        later without a hand.
+        """
+        if not self._is_above(scene) or not is_at_rest(scene, self.top):
+            return False
+        model = scene.model
+        lower, upper = (int(model.body(name).id) for name in (self.bottom, self.top))
+        others = [other for _, other, _ in _touching(scene, (upper,))]
+        things = (other == 0 or scene.entity_of_body(other) for other in others)
+        return lower in others and all(things)
 
     def _is_above(self, scene: Scene) -> bool:
         """Whether the top's middle is over the part of the bottom that may carry it."""
@@ -165,23 +182,32 @@ Predicate = On | Lifted | Reached
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Several predicates that shall hold at once."""
+    """Several predicates that shall hold at once, and a rule for the way there."""
 
     conjuncts: tuple[Predicate, ...]
+    rule: Rule | None = None
+    """Forbids something before; see :mod:`lemma.tasks.teams.rule`."""
 
     def __post_init__(self) -> None:
         """Check that it asks for something.
 
         Raises:
-            InvalidConfigError: It has no conjuncts.
+            InvalidConfigError: It has no conjuncts, or its rule is about others.
         """
         if not self.conjuncts:
             raise InvalidConfigError(
                 "A goal without On(top, bottom) asks for nothing. Give at least one."
             )
+        placed = [(on.top, on.bottom) for on in self.placements]
+        if self.rule is not None and not set(self.rule.pairs) <= set(placed):
+            raise InvalidConfigError(
+                f"{self.rule} is about On{self.rule.pairs}, but the goal has {placed}."
+            )
 
     @classmethod
-    def from_pairs(cls, pairs: tuple[tuple[str, str], ...]) -> Self:
+    def from_pairs(
+        cls, pairs: tuple[tuple[str, str], ...], rule: Rule | None = None
+    ) -> Self:
         """Make a goal from (top, bottom) pairs; a hand may be either."""
 
         def predicate(top: str, bottom: str) -> Predicate:
@@ -189,7 +215,7 @@ class Goal:
                 return Reached(bottom)
             return Lifted(top) if bottom == HAND else On(top, bottom)
 
-        return cls(tuple(predicate(top, bottom) for top, bottom in pairs))
+        return cls(tuple(predicate(top, bottom) for top, bottom in pairs), rule)
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -211,6 +237,10 @@ class Goal:
     def held(self) -> frozenset[str]:
         """Names of the objects that hands shall hold."""
         return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
+
+    def permits(self, subtask: SubTask, has: Has) -> bool:
+        """Whether a sub-task keeps the rule; see :meth:`.Rule.permits`."""
+        return self.rule is None or self.rule.permits(subtask, has)
 
     def progress(self, scene: Scene) -> float:
         """Return the fraction of conjuncts that hold, in [0, 1]."""

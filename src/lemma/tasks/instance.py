@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, NotRequired, TypedDict
 
 import msgspec
 
@@ -14,6 +14,7 @@ from lemma.core.poses import Pose2
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.names import FAMILIES
+from lemma.tasks.teams.rule import rule_from
 
 BENCHMARK_VERSION = "v3"
 """Part of every instance's key: a change of the sampler is a new version."""
@@ -54,6 +55,7 @@ class _Data(TypedDict):
     goal: list[tuple[str, str]]
     instructions: dict[str, str]
     distractors: list[str]
+    rule: NotRequired[Annotated[list[str], msgspec.Meta(min_length=1)]]
 
 
 def splits_of(task: str) -> dict[str, int]:
@@ -93,7 +95,13 @@ class Instance:
             raise InvalidConfigError(
                 f"instructions={shown(self.instructions)} are no sentences by kind."
             )
-        names = self.scene.object_names
+        names, rule = self.scene.object_names, self.goal.rule
+        # A goal of other instances has none, and their data stay what they were.
+        known = (*names, *self.scene.robot_names)
+        if rule is not None and not set(rule.names) <= set(known):
+            raise InvalidConfigError(
+                f"{rule} names what is not on the table. There are {', '.join(known)}."
+            )
         absent = [n for n in (*self.goal.entities, *self.distractors) if n not in names]
         if absent:
             raise InvalidConfigError(
@@ -113,7 +121,8 @@ class Instance:
         return "+".join(sorted(arms, key=_arm_order))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
+        """Return plain data, ready for JSON; ``rule`` where the goal has one."""
+        rule = self.goal.rule
         return {
             "version": BENCHMARK_VERSION,
             "task": self.task,
@@ -131,6 +140,7 @@ class Instance:
             "goal": [list(pair) for pair in self.goal.pairs],
             "instructions": dict(self.instructions),
             "distractors": list(self.distractors),
+            **({} if rule is None else {"rule": [rule.kind, *rule.names]}),
         }
 
     @classmethod
@@ -157,13 +167,14 @@ class Instance:
             ObjectPlacement(kind, color, Pose2(x, y, yaw))
             for kind, color, x, y, yaw in data["objects"]
         )
-        gap = data["gap_m"]
+        gap, goal = data["gap_m"], tuple((top, on) for top, on in data["goal"])
+        rule = rule_from(data["rule"]) if "rule" in data else None
         return cls(
             task=data["task"],
             split=data["split"],
             index=data["index"],
             scene=SceneSpec(robots, objects, tuple(gap) if gap else None),
-            goal=Goal.from_pairs(tuple((top, bottom) for top, bottom in data["goal"])),
+            goal=Goal.from_pairs(goal, rule),
             instructions=dict(data["instructions"]),
             distractors=tuple(data["distractors"]),
         )

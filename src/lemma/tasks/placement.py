@@ -84,6 +84,8 @@ class ObjectPlacer:
         self.robots = robots
         self.rng = rng
         self.gap_m = gap_m
+        self.rule = ""
+        """Kind of the rule that the goal shall have, of a task with rules."""
         self.objects: list[ObjectPlacement] = []
         self.territory = Territory(robots, gap_m)
         self.only = self.territory.only
@@ -274,9 +276,9 @@ class ObjectPlacer:
             if not self.can_drag(*drag, cube.pose, others, kind):
                 raise PlacementError(f"{primitive} {cube.name}")
         team = range(len(self.robots))
-        if len(team) > 2 and len(needed(self.territory, self.objects, goal)) < len(
-            team
-        ):
+        excluded = goal.rule is not None and goal.rule.robot is not None
+        there = needed(self.territory, self.objects, goal)
+        if len(team) > 2 and len(there) < len(team) - excluded:
             raise PlacementError("team without one robot")
         for robot in team:
             if self._could_push_towers(robot, goal):

@@ -6,6 +6,7 @@ means is not written down: every way is tried that leads to the goal of the inst
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice, permutations, product
 
 import numpy as np
@@ -81,6 +82,7 @@ class _RecordedPlacer(ObjectPlacer):
         super().__init__(
             instance.scene.robots, stream("rules"), order, instance.scene.gap_m
         )
+        self.rule = rule.kind if (rule := instance.goal.rule) else ""
         self._left = list(there)
         self._asked: list[tuple[ObjectPlacement, Zone, int]] = []
         self._stick_of: int | None = None
@@ -193,7 +195,7 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goa
             except (LemmaError, PlacementError):
                 continue
             if set(goal.pairs) == set(instance.goal.pairs):
-                yield placer, goal
+                yield placer, replace(goal, rule=instance.goal.rule)
 
 
 def _crowded(instance: Instance) -> Iterator[str]:

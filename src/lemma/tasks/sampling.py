@@ -1,15 +1,17 @@
 """From a key to an instance: rejection sampling with named random streams."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.seeding import stream
-from lemma.scene.spec import RobotPlacement, SceneSpec
+from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.language.bank import say_rule
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import Task
@@ -61,24 +63,24 @@ def sample(
     least, most = task.distractors
     distractors = int(stream(*key, "distractors").integers(least, most + 1))
     order = _draw_order(layout, stream(*key, "order"))
+    rule = str(stream(*key, "rule").choice(task.rules)) if task.rules else ""
     for rejected in range(_ATTEMPTS):
         try:
             robots, gap_m = _place_team(task, chosen, order, rng)
             placer = ObjectPlacer(robots, rng, order, gap_m)
+            placer.rule = rule
             goal = task.arrange(placer)
             extra = tuple(_distract(placer) for _ in range(distractors))
             placer.check(goal)
         except PlacementError:
             continue
-        there = placer.objects
-        shuffled = [there[int(i)] for i in rng.permutation(len(there))]
         instance = Instance(
             task=task.name,
             split=split,
             index=index,
-            scene=SceneSpec(robots, tuple(shuffled), gap_m),
+            scene=SceneSpec(robots, _shuffled(placer.objects, rng), gap_m),
             goal=goal,
-            instructions=_instruct(task, goal, key),
+            instructions=_instruct(task, goal, key, robots),
             distractors=extra,
         )
         return Sample(instance, rejected)
@@ -86,6 +88,12 @@ def sample(
         f"No table for task {task.name!r} with team {'+'.join(chosen)} in {_ATTEMPTS} "
         "attempts. Loosen the zones in its arrange(), or ask for fewer objects."
     )
+
+
+def _shuffled(
+    objects: Sequence[ObjectPlacement], rng: np.random.Generator
+) -> tuple[ObjectPlacement, ...]:
+    return tuple(objects[int(i)] for i in rng.permutation(len(objects)))
 
 
 def _draw_team(task: Task, rng: np.random.Generator) -> tuple[str, ...]:
@@ -128,8 +136,19 @@ def _distract(placer: ObjectPlacer) -> str:
     return put(placer.anywhere())
 
 
-def _instruct(task: Task, goal: Goal, key: tuple[str | int, ...]) -> dict[str, str]:
-    return {
+def _instruct(
+    task: Task,
+    goal: Goal,
+    key: tuple[str | int, ...],
+    robots: tuple[RobotPlacement, ...],
+) -> dict[str, str]:
+    said = {
         kind: task.language.instruct(kind, goal.pairs, stream(*key, "language", kind))
         for kind in KINDS
+    }
+    if (rule := goal.rule) is None:
+        return said
+    return {
+        kind: say_rule(rule, kind, what, robots, stream(*key, "language", kind, "rule"))
+        for kind, what in said.items()
     }

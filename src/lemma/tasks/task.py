@@ -44,6 +44,9 @@ class Task:
     teams: tuple[tuple[str, ...], ...] = TEAMS
     """Arm types of the teams that instances are drawn from, each as likely. A pair
     stands in either order; a larger team in the order of the layout."""
+    rules: tuple[str, ...] = ()
+    """Kinds of rules of which each instance has one, each as likely; ``arrange`` finds
+    it as ``placer.rule``. Names in :data:`~lemma.tasks.teams.rule.RULES`."""
     layout: str = "pair"
     """Where the robots stand: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False

@@ -101,23 +101,27 @@ class Territory:
         """Return where a robot could possibly do anything."""
         return could_of(self.robots[robot].arm)
 
-    def only(self, robot: int, *, tool: bool = False) -> Zone:
-        """Where one robot works, and no other could do anything.
+    def only(self, *robots: int, tool: bool = False) -> Zone:
+        """Where one robot works, or each of some, and no other could do anything.
 
         Args:
-            robot: Which.
+            robots: Which.
             tool: Whether the others could do nothing even with the stick in their
                 hand, such as to carry a cube there on it.
         """
-        others = tuple(r for r in range(len(self.robots)) if r != robot)
+        others = tuple(r for r in range(len(self.robots)) if r not in robots)
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
-            found = self.works(robot, x, y)
+            found = np.ones(len(x), np.bool_)
+            for robot in robots:
+                found &= self.works(robot, x, y)
             for other in others:
                 found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M)
             return found
 
-        says = f"where the {{{robot}}} works, and no other robot could do anything"
+        who = " and the ".join(f"{{{robot}}}" for robot in robots)
+        works = "works" if len(robots) == 1 else "work"
+        says = f"where the {who} {works}, and no other robot could do anything"
         if tool:
             says += " even with the stick"
         return Zone(sift, barred=others, tool=tool, says=says)

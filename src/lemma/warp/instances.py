@@ -58,8 +58,12 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
 
     Raises:
         UnknownNameError: No such task or arm.
-        InvalidConfigError: The task has sticks or a gap in the table.
+        InvalidConfigError: The task has sticks, a gap in the table, or rules.
     """
+    if TASKS[task].rules:
+        raise InvalidConfigError(
+            f"Goals of task {task!r} have rules, which nobody watches on a GPU."
+        )
     chosen = tuple(team or TASKS[task].teams[0])
     found = tuple(
         sample(TASKS[task], FREE_SPLIT, seed + i, team=chosen).instance

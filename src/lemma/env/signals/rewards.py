@@ -177,7 +177,7 @@ class RewardMeter:
         if self._potential is None or self.potential is None:
             return float(succeeded)
         before = self.potential
-        if episode.stopped or episode.is_thrown:
+        if episode.stopped or episode.has_failed:
             self.potential = float(succeeded)
         else:
             self.potential = self._potential(episode)

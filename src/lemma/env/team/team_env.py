@@ -126,7 +126,7 @@ class TeamEnv(LemmaEnv):
         self._duration_s = episode.elapsed_s - start_s
         self._ended = tuple(ended)
         reward = self.rewards.reward(episode)
-        terminated = episode.stopped or episode.is_thrown
+        terminated = episode.stopped or episode.has_failed
         truncated = episode.out_of_time and not terminated
         return self.observe(), reward, terminated, truncated, self.info()
 

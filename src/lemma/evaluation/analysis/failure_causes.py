@@ -58,6 +58,8 @@ class Cause(StrEnum):
     """No mistake, and ``stop`` while there was something left to do."""
     THROWN = "thrown"
     """An object flew, or moved on without a robot."""
+    RULE = "rule"
+    """The rule of the goal was broken."""
     UNTOUCHED = "untouched"
     """Control level: no hand and no tool touched a cube that the goal moves;
     on *reach*, none was held over it."""
@@ -88,8 +90,8 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
         return None
     if row["failure"] == POLICY_ERROR:
         return Cause.POLICY_ERROR
-    if row["failure"] == Outcome.THROWN:
-        return Cause.THROWN
+    if row["failure"] in (Outcome.THROWN, Outcome.RULE):
+        return Cause(row["failure"])
     if row.get("control"):
         return _of_control(row["control"])
     mistake = mistake_of(row)

@@ -74,6 +74,11 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
 def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
     """Return the sentence of an instance in the same words, for another goal."""
     said = instruction(instance, kind)
+    if instance.goal.rule is not None:
+        raise InvalidConfigError(
+            f"Sentences of {instance.task!r} say a rule as well, and there are no "
+            "others for them. Choose another language, or another task."
+        )
     bank = TASKS[instance.task].language
     blind = kind == BLIND
     for template in blind_templates(instance.task) if blind else bank.templates(kind):

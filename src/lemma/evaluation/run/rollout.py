@@ -124,6 +124,8 @@ class Rollout:
     """Why the policy had no more decisions, if it failed."""
     protective_stop: Verdict | None = None
     """How it stood at its strict end, if a protective stop was that."""
+    refusal: str | None = None
+    """Words of the policy as it stopped before it did anything; None if it acted."""
 
     def __post_init__(self) -> None:
         """Set the table."""
@@ -266,6 +268,7 @@ class Rollout:
         episode = self.episode
         self.efforts += [decision.effort] if decision.effort else []
         if decision.stops:
+            self.refusal = None if self.steps else decision.explanation
             episode.stop()
             return None
         start = episode.elapsed_s

@@ -104,7 +104,9 @@ class OracleTeam(Oracle):
 
 def _take(plan: _Plan, team_input: TeamOracleInput) -> list[SubTask]:
     """Return the steps of a plan that can begin now, one for each free robot."""
-    needs = predecessors(plan.steps, tuple(team_input.episode.instance.scene.regions))
+    instance = team_input.episode.instance
+    regions = tuple(instance.scene.regions)
+    needs = predecessors(plan.steps, regions, instance.goal.rule)
     settled = team_input.team.settled(team_input.team.observe())
     busy = {d.subtask for name, d in team_input.doing.items() if name not in settled}
     missing = {*plan.todo, *(k for k, one in enumerate(plan.steps) if one in busy)}

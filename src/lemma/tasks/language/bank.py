@@ -35,6 +35,7 @@ from lemma.tasks.language.template import (
 )
 from lemma.tasks.names import FAMILIES
 from lemma.tasks.subtask import added_phrase, primitive_names
+from lemma.tasks.teams.rule import Rule
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
@@ -121,6 +122,37 @@ def say_pair(top: str, bottom: str) -> str:
     if bottom == HAND:
         return f"the {phrase(top)} in a hand, lifted"
     return f"the {phrase(top)} on the {phrase(bottom)}"
+
+
+def rule_templates(rule: str, kind: str) -> tuple[str, ...]:
+    """Return the sentences that say a kind of rule, for a kind of instruction.
+
+    Slots are those of :meth:`.Rule.words`, and ``{goal}`` for what shall be true; one
+    without it says that as well.
+    """
+    return tuple(_read("rules")[rule][kind])
+
+
+def say_rule(
+    rule: Rule,
+    kind: str,
+    goal: str,
+    robots: Sequence[RobotPlacement],
+    rng: np.random.Generator,
+) -> str:
+    """Draw a sentence that says a rule, with one that says what shall be true.
+
+    Args:
+        rule: The rule.
+        kind: One of :data:`KINDS`.
+        goal: The sentence without the rule.
+        robots: The team.
+        rng: Where the draw comes from; one integer is drawn.
+    """
+    candidates = rule_templates(rule.kind, kind)
+    chosen = candidates[int(rng.integers(len(candidates)))]
+    words = rule.words(robot_phrases(robots))
+    return chosen.format(goal=goal.rstrip(".") + ".", **words)
 
 
 def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
@@ -244,6 +276,7 @@ def vocabulary() -> tuple[str, ...]:
     return tuple(sorted({word for line in bare for word in words(line)}))
 
 
+@cache
 def _read(name: str) -> dict[str, Any]:
     source = files("lemma.tasks.language") / "templates" / f"{name}.toml"
     return tomllib.loads(source.read_text(encoding="utf-8"))

@@ -9,11 +9,14 @@ that is pushed gets farther than a hand.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from lemma.core.poses import Pose2
+from lemma.core.robot_names import robot_name
 from lemma.core.seeding import ordered_sum
+from lemma.scene.objects.entity import entity_named
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.goal import Goal, On
@@ -25,17 +28,79 @@ def needed(
 ) -> tuple[int, ...]:
     """Return the robots without whom the others could not reach a goal.
 
+    A robot that a rule excludes is none of them, and none of the others.
+
     Args:
         territory: Reach of the team.
         objects: Everything on the table.
         goal: The goal, of things that lie on others.
     """
-    team = range(len(territory.robots))
+    excluded = goal.rule.robot if goal.rule is not None else None
+    team = [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
     return tuple(
         absent
         for absent in team
         if not _Coalition(territory, objects, set(team) - {absent}).could(goal)
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Reason why a team cannot reach a part of a goal, whatever it does."""
+
+    part: On
+    getters: tuple[int, ...]
+    """Robots that could touch the top."""
+    putters: tuple[int, ...]
+    """Robots that could put something on the bottom."""
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """Names of the objects that are out of reach, or too far apart."""
+        if not self.getters:
+            return (self.part.top,)
+        return (
+            (self.part.top, self.part.bottom) if self.putters else (self.part.bottom,)
+        )
+
+    def words(self, robots: Sequence[str]) -> str:
+        """Return who lacks what, in a sentence.
+
+        Args:
+            robots: Phrases of the team.
+        """
+        top, bottom = (
+            f"the {entity_named(name).phrase}"
+            for name in (self.part.top, self.part.bottom)
+        )
+        if not self.getters:
+            return f"No robot reaches {top}."
+        if not self.putters:
+            return f"No robot reaches {bottom}."
+        one, other = (
+            f"the {' and the '.join(robots[r] for r in who)}"
+            for who in (self.getters, self.putters)
+        )
+        return (
+            f"Only {one} could touch {top}, only {other} {bottom}, and nothing gets "
+            "from one to the other."
+        )
+
+
+def lack_of(
+    territory: Territory, objects: Sequence[ObjectPlacement], goal: Goal
+) -> Lack | None:
+    """Return what keeps a team from a goal; None if nothing is known to.
+
+    Args:
+        territory: Reach of the team.
+        objects: Everything on the table.
+        goal: The goal, of things that lie on others.
+    """
+    excluded = goal.rule.robot if goal.rule is not None else None
+    team = [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
+    whole = _Coalition(territory, objects, team)
+    return next(filter(None, map(whole.lack, goal.placements)), None)
 
 
 class _Coalition:
@@ -58,19 +123,20 @@ class _Coalition:
 
     def could(self, goal: Goal) -> bool:
         """Whether nothing keeps the coalition from any part of a goal."""
-        return all(map(self._could_put, goal.placements))
+        return not any(map(self.lack, goal.placements))
 
-    def _could_put(self, on: On) -> bool:
+    def lack(self, on: On) -> Lack | None:
+        """Return what keeps the coalition from a part of a goal, if something does."""
         top, bottom = (self._placed[name] for name in (on.top, on.bottom))
         row_m = self._row_m(but=(on.top, on.bottom))
         getters = self._touching(top) or self._pushing_together(top, row_m)
-        if not getters:
-            return False
         # A cube that stands on one that is pushed slides or tips over where it stops.
         tower_m = row_m + 2.0 * top.entity.kind.side_m if row_m else 0.0
         putters = self._touching(bottom) + self._within(bottom, tower_m)
         groups = self._groups(top.entity.kind, row_m)
-        return any(group & set(getters) and group & set(putters) for group in groups)
+        if any(group & set(getters) and group & set(putters) for group in groups):
+            return None
+        return Lack(on, *(tuple(sorted(set(who))) for who in (getters, putters)))
 
     def _touching(self, placed: ObjectPlacement) -> list[int]:
         """Return who could do anything to a thing with a hand and what it holds."""

@@ -1,8 +1,11 @@
 """The families of the suite ``teams``: tasks for three and four robots."""
 
+from lemma.core.robot_names import robot_name
+from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
+from lemma.tasks.teams.rule import RULES, After, But, Without
 
 _OF_THREE = (
     ("ur5",) * 3,
@@ -94,3 +97,39 @@ def arrange_tower(placer: ObjectPlacer) -> Goal:
     pad = placer.pad(placer.only(builder))
     low, middle, high = (placer.cube(placer.only(robot)) for robot in placer.order)
     return Goal((On(low, pad), On(middle, low), On(high, middle)))
+
+
+@task(
+    "exchange",
+    "Cubes go to their pads under a rule: only after, without a robot, all but one.",
+    subtasks=3,
+    distractors=(0, 1),
+    layout="triangle",
+    teams=_OF_THREE,
+    rules=tuple(RULES),
+)
+def arrange_exchange(placer: ObjectPlacer) -> Goal:
+    """A rule takes away one of two ways; nothing but the sentence tells which."""
+    one, other, third = placer.order
+    chosen = int(placer.rng.integers(2))
+    if placer.rule == Without.kind:
+        # Either could bring one of the cubes alone, and the other one to the third.
+        both = placer.only(one, other)
+        pads = [placer.pad(placer.only(robot, third)) for robot in (one, other)]
+        cubes = [placer.cube(both) for _ in pads]
+        rule = Without(robot_name((one, other)[chosen]))
+        return Goal(tuple(map(On, cubes, pads)), rule)
+    if placer.rule == But.kind:
+        # Two have each other's cubes, of which one stays. Colors say what belongs.
+        pads = [placer.pad(placer.only(robot)) for robot in (one, other, third)]
+        colors = [entity_named(pad).color for pad in pads]
+        zones = map(placer.only, (other, one, third))
+        cubes = [placer.cube(*there) for there in zip(zones, colors, strict=True)]
+        moved = (1 - chosen, 2)
+        goes = tuple(On(cubes[k], pads[k]) for k in moved)
+        return Goal(goes, But(cubes[chosen]))
+    cubes = [placer.cube(placer.only(robot)) for robot in (one, third)]
+    pads = [placer.pad(placer.only(robot)) for robot in (other, third)]
+    pairs = list(zip(cubes, pads, strict=True))
+    after = After(*pairs[chosen], *pairs[1 - chosen])
+    return Goal(tuple(map(On, cubes, pads)), after)

@@ -1,0 +1,125 @@
+"""Rules of goals: plain data, said by one sentence alone, and kept by the planner."""
+
+from itertools import pairwise
+
+import pytest
+
+from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.planner import find_plan
+from lemma.planning.schedule import predecessors
+from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.scene import Scene
+from lemma.tasks.goal import Goal, On
+from lemma.tasks.instance import Instance
+from lemma.tasks.language.bank import parse, robot_phrases, rule_templates
+from lemma.tasks.language.template import KINDS, MAX_CHARACTERS
+from lemma.tasks.suite import load_instance
+from lemma.tasks.teams.rule import RULES, After, But, Rule, Without, rule_from
+
+TESTS = [load_instance("exchange", "test", index) for index in range(60)]
+PAIRS = (("red_cube", "red_pad"), ("blue_cube", "blue_pad"))
+
+
+def of_kind(kind: str) -> list[Instance]:
+    return [one for one in TESTS if one.goal.rule and one.goal.rule.kind == kind]
+
+
+def possible(instance: Instance) -> list[Rule]:
+    """Every rule that there might be on a table."""
+    pairs = [
+        (top, bottom)
+        for top in instance.scene.object_names
+        for bottom in instance.scene.object_names
+        if top.endswith("cube") and bottom.endswith("pad")
+    ]
+    orders = [After(*a, *b) for a in pairs for b in pairs if a != b]
+    robots = [Without(name) for name in instance.scene.robot_names]
+    cubes = [n for n in instance.scene.object_names if n.endswith("cube")]
+    return [*orders, *robots, *map(But, cubes)]
+
+
+def test_a_rule_is_data_of_the_instance_and_others_have_none() -> None:
+    for one in TESTS:
+        assert one.goal.rule is not None
+        assert Instance.from_dict(one.to_dict()) == one
+        assert rule_from(one.to_dict()["rule"]) == one.goal.rule
+    assert "rule" not in load_instance("tower", "test", 0).to_dict()
+    assert {one.goal.rule.kind for one in TESTS if one.goal.rule} == {*RULES}
+
+
+def test_a_rule_that_fits_nothing_is_refused() -> None:
+    with pytest.raises(UnknownNameError):
+        rule_from(["together", "red_cube"])
+    with pytest.raises(InvalidConfigError):
+        rule_from(["but"])
+    with pytest.raises(InvalidConfigError):
+        Goal.from_pairs(PAIRS, After("red_cube", "blue_pad", *PAIRS[1]))
+    absent = {**TESTS[0].to_dict(), "rule": ["without", "robot_7"]}
+    with pytest.raises(InvalidConfigError):
+        Instance.from_dict(absent)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sentence_says_one_rule(kind: str) -> None:
+    """No other rule of the table has a sentence that ends, or is, like it."""
+    for one in TESTS[:6]:
+        sentence, phrases = one.instructions[kind], robot_phrases(one.scene.robots)
+        assert len(sentence) <= MAX_CHARACTERS
+        assert parse(sentence) is None
+        meant = {
+            rule
+            for rule in possible(one)
+            for text in rule_templates(rule.kind, kind)
+            if sentence.endswith(
+                text.removeprefix("{goal} ").format(**rule.words(phrases))
+            )
+        }
+        assert meant == {one.goal.rule}
+
+
+@pytest.mark.parametrize("kind", RULES)
+def test_the_planner_keeps_the_rule_and_would_not_have_to(kind: str) -> None:
+    free = 0
+    for one in of_kind(kind)[:3]:
+        now = SymbolicState.observe(Scene(one.scene))
+        grounder = GeometricGrounder(one.scene)
+        plan = find_plan(now, one.goal, grounder)
+        assert plan is not None
+        states = [now, *(step.after for step in plan.steps)]
+        for subtask, (before, _) in zip(plan.subtasks, pairwise(states), strict=True):
+            assert one.goal.permits(subtask, before.has)
+        colors = {n.partition("_")[0] for n in one.scene.object_names if "pad" in n}
+        every = [
+            On(n, f"{n.removesuffix('_cube')}_pad")
+            for n in one.scene.object_names
+            if n.endswith("cube") and n.partition("_")[0] in colors
+        ]
+        read = Goal(tuple(every)) if kind == "but" else Goal(one.goal.conjuncts)
+        blind = find_plan(now, read, grounder)
+        assert blind is not None
+        free += blind.subtasks != plan.subtasks
+        regions = tuple(one.scene.regions)
+        needs = predecessors(plan.subtasks, regions, one.goal.rule)
+        more = needs != predecessors(plan.subtasks, regions)
+        assert more == (kind == "after")
+    assert free >= (0 if kind == "after" else 3)
+
+
+def test_nothing_but_the_sentence_tells_who_must_not_act() -> None:
+    """The excluded robot and its fellow reach as much; either stands first."""
+    first = 0
+    found = of_kind("without")
+    for one in found:
+        assert one.goal.rule is not None
+        grounder, named = GeometricGrounder(one.scene), one.goal.entities
+        spots = [one.scene.placement(name).pose for name in named]
+        reach = {
+            robot: sum(grounder.reaches(robot, spot) for spot in spots)
+            for robot in grounder.robots
+        }
+        alike = [robot for robot, count in reach.items() if count == 3]
+        assert sorted(reach.values()) == [2, 3, 3]
+        assert one.goal.rule.robot in alike
+        first += alike.index(one.goal.rule.robot)
+    assert 0.2 < first / len(found) < 0.8
