@@ -1,6 +1,8 @@
 """The one step loop: time, clocks, snapshots, and what is held."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ from tiers import slow_but
 
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
+from lemma.env.episode import Episode
 from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Ended, Simulation
+from lemma.expert.expert import Expert, solve
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.build import TIME_STEP_S
@@ -251,3 +255,18 @@ def test_a_busy_robot_is_broken_off_at_its_time_and_freed_by_restore() -> None:
     simulation.restore(start)
     assert simulation.busy == {}
     assert simulation.execute(MOVE).ok
+
+
+def test_memory_of_an_episode_is_free_at_once() -> None:
+    gc.collect()
+    gc.disable()
+    try:
+        episode = Episode(load_instance("reach", "test", 0))
+        scene = episode.simulation.scene
+        assert len([*solve(episode, Expert(scene, episode.instance.goal))]) == 1
+        kept = weakref.ref(scene)
+        del episode, scene
+        # MuJoCo's memory, 7 MB an episode, is none that the garbage collector counts.
+        assert kept() is None
+    finally:
+        gc.enable()

@@ -62,6 +62,13 @@ class Obstacles:
         self._things = np.array(things, _THING)
         rows = 10 * (len(self._arms) - 1) + len(self._things)
         self._rows = np.empty((len(self._arms), rows, 8))
+        self.felt: dict[str, tuple[Pose2 | None, str | None]] = {}
+        """Target and held object that each robot's obstacles leave out."""
+
+    def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
+        """Set the obstacles of an arm; see :meth:`around`."""
+        self.felt[arm.robot.name] = (target, held)
+        arm.set_obstacles(self.around(arm.robot.name, target, held))
 
     def around(self, robot: str, target: Pose2 | None, held: str | None) -> FloatArray:
         """Return the obstacles of one arm.

@@ -65,14 +65,8 @@ class SkillRunner:
         self.reservations = Reservations(arms)
         """Of those at work, and of those that are free but not at home."""
         self._obstacles = Obstacles(arms)
-        self._felt: dict[str, tuple[Pose2 | None, str | None]] = {}
         self.leaving = Leaving(arms, self.reservations)
-        self.staying = StayingArms(arms, self.reservations, self.feel)
-
-    def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
-        """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
-        self._felt[arm.robot.name] = (target, held)
-        arm.set_obstacles(self._obstacles.around(arm.robot.name, target, held))
+        self.staying = StayingArms(arms, self.reservations, self._obstacles)
 
     def mind_others(self, busy: tuple[str, ...]) -> None:
         """Let those at work feel where others are now, and not wait for ever.
@@ -82,7 +76,7 @@ class SkillRunner:
         """
         for name in busy:
             # Of any arm, for a sub-task that has begun in this tick as well.
-            self.feel(self.arms[name], *self._felt[name])
+            self._obstacles.feel(self.arms[name], *self._obstacles.felt[name])
         # By the clock, so that a restored state goes on in the same way.
         if round(self.scene.time_s / _TICK_S) % _MIND_TICKS == 0:
             self.reservations.follow()
@@ -136,11 +130,11 @@ class SkillRunner:
         start = self.scene.time_s
         arm = self.arms[subtask.robot]
         result = SkillResult(Outcome.SUCCESS, "Done.", 0.0)
-        self._felt[subtask.robot] = (None, None)
+        self._obstacles.felt[subtask.robot] = (None, None)
         if Moves(arm).is_full():
             x, y = arm.tcp_pose()[:2, 3].tolist()
             # Its load is no obstacle to it.
-            self._felt[subtask.robot] = (None, self.surface(Pose2(x, y))[1])
+            self._obstacles.felt[subtask.robot] = (None, self.surface(Pose2(x, y))[1])
             yield from self._put_away(arm)
         try:
             yield from self._begin(arm, subtask)
@@ -150,7 +144,7 @@ class SkillRunner:
             yield from self._put_away(arm)
         self.reservations.ask_for_home(subtask.robot)
         if subtask.primitive not in _STAYS or not result.ok:
-            self.feel(arm, None, None)
+            self._obstacles.feel(arm, None, None)
             yield from Moves(arm).park()
         return SkillResult(
             result.outcome, result.explanation, self.scene.time_s - start
@@ -178,7 +172,7 @@ class SkillRunner:
         low = stand_at(subtask.pick, top_m + _HOVER_M)
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        self.feel(arm, subtask.pick, found)
+        self._obstacles.feel(arm, subtask.pick, found)
         arm.opening_m = FINGER_OPENING_M
         yield from moves.to(over, fly_by=True)
         yield from moves.lower(low)
@@ -192,7 +186,7 @@ class SkillRunner:
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        self.feel(arm, subtask.pick, held)
+        self._obstacles.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, grip_m + _LIFT_M)
         yield from moves.to(stand_at(subtask.pick, grip_m + _LIFT_M))
@@ -217,7 +211,7 @@ class SkillRunner:
             moves.check_reach(pose, "place")
         name, stick = arm.robot.name, held == STICK
         alone = self.reservations.is_alone(name)
-        self.feel(arm, subtask.pick, held)
+        self._obstacles.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, over[2] - FLY_BY_M)
         moves.check_held()
@@ -231,7 +225,7 @@ class SkillRunner:
             moves.check_held()
             put = self._put_down(subtask.place, held, grip_m)
             over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
-        self.feel(arm, subtask.place, held)
+        self._obstacles.feel(arm, subtask.place, held)
         yield from moves.to(over_put, fly_by=True)
         moves.check_held()
         yield from moves.lower(put, contact=True)
@@ -255,7 +249,7 @@ class SkillRunner:
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         moves.check_reach(end, "place")
-        self.feel(arm, subtask.pick, held)
+        self._obstacles.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.to(start, contact=True)
         moves.check_held()

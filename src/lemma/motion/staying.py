@@ -6,11 +6,12 @@ home with what it holds. Its robot is free all the while, and a new sub-task of 
 begins from wherever its arm is.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from lemma.core.poses import Pose2
 from lemma.motion.arm_motion import ArmMotion, largest_turn
 from lemma.motion.moves import Motion, Moves
+from lemma.motion.obstacles import Obstacles
 from lemma.motion.reservations import PATIENCE_S, Reservations
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.objects.entity import STICK
@@ -18,23 +19,25 @@ from lemma.scene.objects.entity import STICK
 HOME_RAD = 0.05
 """An arm is at home if no joint is farther from where it waits [rad]."""
 
-Feel = Callable[[ArmMotion, Pose2 | None, str | None], None]
-
 
 class StayingArms:
     """The arms of one scene that are free but not at home, while others work."""
 
     def __init__(
-        self, arms: Mapping[str, ArmMotion], reservations: Reservations, feel: Feel
+        self,
+        arms: Mapping[str, ArmMotion],
+        reservations: Reservations,
+        obstacles: Obstacles,
     ) -> None:
         """Let nobody stay anywhere yet.
 
         Args:
             arms: Motion of every robot of the scene, by robot name.
             reservations: Of the same arms.
-            feel: Sets the obstacles of an arm.
+            obstacles: Of the same arms.
         """
-        self._arms, self._reservations, self._feel = arms, reservations, feel
+        self._arms, self._reservations = arms, reservations
+        self._obstacles = obstacles
         self._scene = next(iter(arms.values())).scene
         self._ways: dict[str, Motion | None] = {}
 
@@ -106,10 +109,10 @@ class StayingArms:
         x, y = arm.tcp_pose()[:2, 3].tolist()
         # A thing below a hand is no obstacle to one that rises.
         for _ in Moves(arm).rise_from_here(TRAVEL_HEIGHT_M):
-            self._feel(arm, Pose2(x, y), held)
+            self._obstacles.feel(arm, Pose2(x, y), held)
             yield
         arm.follow_posture(arm.park)
         while not self.is_home(arm.robot.name):
-            self._feel(arm, None, held)
+            self._obstacles.feel(arm, None, held)
             yield
         arm.hold()

@@ -3,8 +3,7 @@
 Protocol 2 has two verdicts. *Strict*: the first sub-task that its robot cannot do ends
 the episode, as a protective stop ends what a real arm does. *Lenient*: the policy is
 told and goes on, for the time that finding out takes. All episodes are played to their
-strict ends first, and only then do the stopped ones go on: so the strict verdict cannot
-depend on what follows, not even by the company that a batch is decided in.
+strict ends before any goes on, so no later decision can change a strict verdict.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
