@@ -1,4 +1,4 @@
-"""States of a simulation that can be kept and gone back to, and clocks of robots."""
+"""Snapshots of a simulation, and time counters of robots."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from lemma.scene.coasting import CoastingState
 
 @dataclass
 class RobotClock:
-    """How one robot spends its time."""
+    """Time counter of one robot."""
 
     busy_s: float = 0.0
     """Executing sub-tasks [s]."""
@@ -22,7 +22,7 @@ class RobotClock:
 
 @dataclass(frozen=True, slots=True)
 class ArmSnapshot:
-    """State of an arm's motion, beside the physics."""
+    """State of an arm's motion that is not in the physics."""
 
     reference: FloatArray
     """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
@@ -41,6 +41,6 @@ class SimulationSnapshot:
     """The full integration state."""
     arms: dict[str, ArmSnapshot]
     coasting: CoastingState
-    """How far each object has moved by itself."""
+    """How far each object has moved without a robot."""
     waiting: WaitingTimes
-    """How long arms waited for others so far."""
+    """Time that each arm has waited for others."""
