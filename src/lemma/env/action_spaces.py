@@ -1,7 +1,7 @@
-"""Actions: their layout, their bounds, and errors that say what is wrong with one.
+"""Action spaces: layouts, bounds, and checks with precise error messages.
 
-Boxes are two-dimensional, one row per robot or pose, because each row means the same
-thing; their numbers are SI units, not fractions of a range.
+Boxes are two-dimensional, with one row per robot or pose. Their values are in SI units,
+not normalized.
 """
 
 import math
@@ -29,15 +29,15 @@ from lemma.tasks.subtask import (
 )
 
 PICKS = ("", *ENTITIES)
-"""Entities that a sub-task may pick; the first stands for none."""
+"""Entities that a sub-task may pick; the first, ``""``, means no entity."""
 PLACES = (*PICKS, SHARED)
-"""Where a sub-task of the benchmark may put it."""
+"""Entities and regions that a sub-task may place the picked entity on."""
 POSE_FIELDS = ("x", "y", "yaw")
 
 Action = Mapping[str, Any]
 
-# Half a unit in the last place of a float32, and then some: what was clipped to the
-# bounds in single precision is inside.
+# More than half a unit in the last place of a float32: values that were clipped in
+# single precision count as inside the bounds.
 _TOLERANCE = 1e-6
 _HINT = " Try the environment's encode()."
 
@@ -78,7 +78,7 @@ class ActionLayout:
 
         Args:
             action: Numbers of that shape.
-            clip: Whether finite numbers out of bounds are clipped instead of refused.
+            clip: Clip finite numbers that are out of bounds instead of refusing them.
 
         Raises:
             InvalidActionError: Not numbers, of another shape, not finite, or out of
@@ -102,13 +102,13 @@ class ActionLayout:
 
     @cached_property
     def _bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Smallest and largest values, and by how much they may be missed."""
+        """Return smallest values, largest values, and the tolerance of each."""
         low, high = np.array(self.low, np.float64), np.array(self.high, np.float64)
         return low, high, _TOLERANCE * (1.0 + np.maximum(abs(low), abs(high)))
 
     def _numbers(self, action: Any) -> FloatArray:
-        """Return an action as numbers; the real ones of NumPy's many types."""
-        # Nearly every action: a copy of it, without a look at what else it could be.
+        """Return an action as a float array; refuse types that are not real numbers."""
+        # Fast path for nearly every action: copy the float array.
         if type(action) is np.ndarray and action.dtype.kind == "f":
             return action.astype(np.float64)
         rows = action if isinstance(action, list | tuple) else (action,)
@@ -128,7 +128,7 @@ class ActionLayout:
         return values.astype(np.float64)
 
     def _refuse(self, values: FloatArray, places: NDArray[np.int64]) -> None:
-        """Raise what is wrong with the first of some values out of bounds."""
+        """Raise an error about the first of the values out of bounds."""
         i, j = places[0].tolist()
         more = f" (and {len(places) - 1} more numbers)" if len(places) > 1 else ""
         raise InvalidActionError(
@@ -150,7 +150,7 @@ class ActionLayout:
 def _clip(
     values: FloatArray, low: FloatArray, high: FloatArray, slack: FloatArray
 ) -> bool:
-    """Clip rows to bounds in place, unless one misses them by more than the slack."""
+    """Clip rows to bounds in place; return False if a value exceeds the slack."""
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             value = values[i, j]
@@ -171,18 +171,19 @@ SKILL_POSES = ActionLayout(
 
 
 def picks() -> tuple[str, ...]:
-    """Return what a sub-task may pick, by number: :data:`PICKS`, then what was added.
+    """Return the entities that a sub-task may pick.
 
-    Added are entities of kinds and colors that users registered.
+    These are :data:`PICKS`, then entities of kinds and colors that users registered.
+    The index in the tuple is the number in an action.
     """
     return (*PICKS, *extra_entities())
 
 
 def places(team_size: int = 2) -> tuple[str, ...]:
-    """Return where a sub-task may put it, by number.
+    """Return the entities and regions that a sub-task may place something on.
 
-    :data:`PLACES`, then the regions that two of a larger team may share, then what was
-    added.
+    :data:`PLACES`, then the regions that two robots of a larger team may share, then
+    registered entities. The index in the tuple is the number in an action.
     """
     return (*PLACES, *pair_regions(team_size), *extra_entities())
 
@@ -214,13 +215,13 @@ def encode_skill(subtask: GroundedSubTask | None) -> dict[str, Any]:
     """Return the skill-level action for a grounded sub-task, or ``stop`` for None.
 
     Raises:
-        InvalidActionError: It is something else.
+        InvalidActionError: The argument is neither.
     """
     _check_type(subtask, GroundedSubTask)
     if subtask is None:
         stop = primitive_names().index(Primitive.STOP)
         return {"robot": 0, "primitive": stop, "poses": np.zeros((2, 3))}
-    # Wrapping changes the last bits, so only what needs it is wrapped.
+    # Wrapping changes the last bits, so only angles out of range are wrapped.
     poses = [
         [p.x, p.y, p.yaw if abs(p.yaw) <= math.pi else wrap(p.yaw)]
         for p in (subtask.pick, subtask.place)
@@ -252,7 +253,7 @@ def encode_plan(subtask: SubTask | None, team_size: int = 2) -> dict[str, Any]:
     """Return the plan-level action for a symbolic sub-task, or ``stop`` for None.
 
     Raises:
-        InvalidActionError: There is no such entity, or it is something else.
+        InvalidActionError: There is no such entity, or the argument is neither.
     """
     _check_type(subtask, SubTask)
     subtask = subtask or STOP
@@ -312,15 +313,15 @@ def _robot_number(name: str) -> int:
 
 
 def check_keys(action: Any, keys: Sequence[str], hint: str = "") -> None:
-    """Check what an action of several parts consists of.
+    """Check that an action is a dictionary with the given keys.
 
     Args:
         action: The action.
-        keys: Names of its parts.
-        hint: Advice.
+        keys: Required keys.
+        hint: Advice that is appended to the error message.
 
     Raises:
-        InvalidActionError: It is no dictionary with these keys.
+        InvalidActionError: The action is no dictionary with these keys.
     """
     if not isinstance(action, Mapping):
         found = f"{shown(action)}"
@@ -334,7 +335,7 @@ def check_keys(action: Any, keys: Sequence[str], hint: str = "") -> None:
 
 
 def _number(value: Any, name: str, meanings: Sequence[str]) -> int:
-    """Return a choice as a whole number in range."""
+    """Return a discrete part of an action as an int in range."""
     try:
         found: NDArray[Any] = np.asarray(value)
         valid = found.size == 1 and found.dtype.kind in "iu"

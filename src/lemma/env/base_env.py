@@ -1,9 +1,8 @@
-"""Common base of all Gymnasium environments, for all kinds of actions.
+"""Common base class of all Gymnasium environments.
 
-An environment is one face of an :class:`~lemma.env.episode.Episode`. Rewards are
-sparse, 1 when the episode ends in success, else 0, or
-:mod:`dense <lemma.env.signals.rewards>`; ``info["progress"]`` says how far the
-episode has come.
+An environment wraps an :class:`~lemma.env.episode.Episode`. Rewards are sparse, 1 when
+the episode ends in success, else 0, or :mod:`dense <lemma.env.signals.rewards>`;
+``info["progress"]`` is the fraction of the task that is done.
 """
 
 from abc import abstractmethod
@@ -42,13 +41,13 @@ class EnvSnapshot:
 
     episode: EpisodeSnapshot
     level: dict[str, Any]
-    """State that the level adds."""
+    """State that the subclass adds."""
 
 
 class LemmaEnv(gymnasium.Env[Observation, Any]):
     """A task as a Gymnasium environment.
 
-    Args that :func:`gymnasium.make` takes are the fields of
+    Its arguments in :func:`gymnasium.make` are the fields of
     :class:`~lemma.env.config.EnvConfig`.
     """
 
@@ -89,7 +88,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def episode(self) -> Episode:
-        """The instance that is being worked on.
+        """The episode in progress.
 
         Raises:
             ResetNeededError: There is none yet.
@@ -105,7 +104,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     @property
     def task_description(self) -> str:
-        """The instruction of this episode; before the first, what the task is about."""
+        """The instruction of this episode; the task's summary before the first."""
         if self._episode is None:
             return TASKS[self.task].summary
         return instruction(self._episode.instance, self.config.instruction)
@@ -113,17 +112,17 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Set the table for a new episode.
+        """Start a new episode.
 
         Args:
-            seed: Seeds the draws of instances, of this and of later resets.
-            options: ``split`` and ``index`` choose an instance instead, and
-                ``instance`` is one. An instance depends on these alone, never on what
-                was sampled before. Options of others, such as toolboxes that wrap the
-                environment, are ignored with a warning.
+            seed: Seeds the random choice of instances, in this and later resets.
+            options: ``split`` and ``index`` choose an instance; ``instance`` passes one
+                directly. The chosen instance depends on these options alone, never on
+                earlier resets. Unknown options, such as those of libraries that wrap
+                the environment, are ignored with a warning.
 
         Returns:
-            The first observation, and what is known besides.
+            The first observation and ``info``.
 
         Raises:
             UnknownNameError: No such split, or an option that looks misspelled.
@@ -136,7 +135,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
     def set_table(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> None:
-        """Reset without looking."""
+        """Reset without computing an observation."""
         super().reset(seed=None if seed is None else whole("seed", seed, 0))
         episode = Episode(
             self._instances.choose(own_options(options), self.np_random),
@@ -146,7 +145,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         self._begin(episode)
 
     def _begin(self, episode: Episode) -> None:
-        """Take a new episode."""
+        """Make an episode the current one."""
         self._episode = episode
         self.rewards.begin(episode)
         if self._window is not None:
@@ -155,10 +154,10 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             simulation.observers.append(lambda: window.follow(simulation.scene))
 
     def _running(self) -> Episode:
-        """Return the episode, which must not be over.
+        """Return the current episode, which must not be over.
 
         Raises:
-            ResetNeededError: It is.
+            ResetNeededError: The episode is over, or there is none.
         """
         if self.episode.is_over:
             raise ResetNeededError(
@@ -168,17 +167,17 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
 
     @abstractmethod
     def step(self, action: Any) -> StepResult:
-        """Act once."""
+        """Execute one action."""
         raise NotImplementedError
 
     def observe(self) -> Observation:
-        """Return what is observed now."""
+        """Return the present observation."""
         return self._observer.observe(self.episode, self.config.instruction)
 
     def view(self) -> View:
-        """Return what is seen now, as policies of ``lemma evaluate`` are given it.
+        """Return the present view, as policies get it in ``lemma evaluate``.
 
-        Pictures are rendered when they are asked for, whatever ``observation`` says.
+        Images are rendered on first access, whatever the option ``observation`` is.
 
         Raises:
             ResetNeededError: There is no episode yet.
@@ -186,16 +185,16 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         return self._observer.view(self.episode.simulation.scene)
 
     def info(self) -> dict[str, Any]:
-        """Return what every step and reset reports."""
+        """Return the ``info`` of the present state, as steps and resets report it."""
         return self._report()
 
     def _report(self, progress: float | None = None) -> dict[str, Any]:
-        """Return :meth:`info`, given the present progress where that is known."""
+        """Return :meth:`info`, given the goal's progress if already computed."""
         found = self._full_info(progress)
         return numbers_of(found) if self.config.numeric_info else found
 
     def _full_info(self, progress: float | None) -> dict[str, Any]:
-        """Return names, words and poses as well as numbers."""
+        """Return the ``info`` with text and poses as well as numbers."""
         found = self.episode.info(progress)
         found["instruction"] = self.task_description
         found["state"] = object_poses(self.episode.simulation.scene)
@@ -204,9 +203,9 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         return found
 
     def cameras(self) -> dict[str, Camera]:
-        """Return the calibrated cameras that are observed, where they are now.
+        """Return the observed cameras with their present calibration.
 
-        See :class:`~lemma.env.config.EnvConfig` for which these are.
+        See :class:`~lemma.env.config.EnvConfig` for the choice of cameras.
         """
         scene, rig = self.episode.simulation.scene, self._observer.rig
         scene.refresh()
@@ -216,7 +215,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         }
 
     def render(self) -> RgbImage | None:
-        """Return a picture for people; None without a render mode, or in a window.
+        """Return an image for people; None without a render mode, or in a window.
 
         Returns:
             Colors, (``render_height``, ``render_width``, 3).
@@ -241,7 +240,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         return self._renderer.rgb(scene.model, scene.data, OVERVIEW)
 
     def close(self) -> None:
-        """Free what rendering uses."""
+        """Free the resources of rendering."""
         self._observer.close()
         if self._window is not None:
             self._window.close()
@@ -253,19 +252,19 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         return self.episode.simulation.scene.state_hash()
 
     def snapshot(self) -> EnvSnapshot:
-        """Return all that the rest of the episode depends on."""
+        """Return the full state of the episode."""
         return EnvSnapshot(self.episode.snapshot(), self._remember())
 
     def restore(self, snapshot: EnvSnapshot) -> tuple[Observation, dict[str, Any]]:
-        """Go back to a snapshot, also one of another instance or environment.
+        """Restore a snapshot, which may be of another instance or environment.
 
-        The episode then continues equal to the bit, if the options are the same.
+        With the same options, the episode then continues bit-identically.
 
         Returns:
-            The observation and the info of that moment.
+            The observation and ``info`` of the snapshot's state.
 
         Raises:
-            InvalidConfigError: It is no snapshot, or one of another team.
+            InvalidConfigError: The argument is no snapshot, or its team differs.
         """
         if not isinstance(snapshot, EnvSnapshot):
             raise InvalidConfigError(
@@ -287,24 +286,24 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
         return self.observe(), self.info()
 
     def _remember(self) -> dict[str, Any]:
-        """Return what the level knows beside the episode."""
+        """Return the subclass's state beside the episode."""
         return {}
 
     def _recall(self, memory: dict[str, Any]) -> None:
-        """Take back what :meth:`_remember` returned."""
+        """Restore what :meth:`_remember` returned."""
 
 
 def numbers_of(info: dict[str, Any]) -> dict[str, Any]:
     """Return the numbers of an environment's ``info``.
 
     Args:
-        info: As every step and reset reports it.
+        info: ``info`` of a step or reset.
 
     Returns:
         ``is_success`` and ``success``, ``progress`` and ``goal_progress``,
-        ``elapsed_s`` [s], with dense rewards ``potential``, how many objects have
-        fallen and were thrown, and ``idle_s`` in the order
-        of the robots, (robots,) [s].
+        ``elapsed_s`` [s], ``potential`` (only with dense rewards), the numbers of
+        fallen and of thrown objects, and ``idle_s`` in the order of the robots,
+        (robots,) [s].
     """
     names = (
         "is_success",

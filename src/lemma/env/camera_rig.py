@@ -1,10 +1,9 @@
-"""The cameras of a scene, which make its views.
+"""The cameras of a scene.
 
-Each robot has a camera that hangs above it, called as the robot is; these are what maps
-are fused from. Beside them there are a camera on the wrist of each robot,
-``robot_0_wrist``, which looks at what is between its fingers; the picture of its camera
-cropped to where it reaches, ``robot_0_reach``; and two that stand still: the overview,
-from the side, and ``table``, from above.
+Each robot has a camera above it, named like the robot; top-down maps are fused from
+these. Each robot also has a wrist camera, ``robot_0_wrist``, which looks between the
+fingers, and ``robot_0_reach``, its overhead image cropped to its reach. Two further
+cameras are fixed: the overview, from the side, and ``table``, from above.
 """
 
 import math
@@ -45,15 +44,16 @@ from lemma.scene.topdown_map import fuse
 OVERVIEW = FreeCamera(
     lookat=(0.0, -0.05, 0.1), distance=3.6, azimuth_deg=90.0, elevation_deg=-36.0
 )
-"""Sees the whole table, from the side."""
+"""Camera that sees the whole table from the side."""
 OVERVIEW_NAME = "overview"
 TABLE_NAME = "table"
 _ABOVE_M = 3.0
-"""Height of the camera above the table's middle; data sets hold depths up to 4 m."""
+"""Height of the camera above the table's middle [m]; data sets store depths up to 4
+m."""
 TABLE_FOV_RAD = 2.0 * math.atan(
     (max(TABLE_HALF_X_M, TABLE_HALF_Y_M) + REACH_EDGE_M) / _ABOVE_M
 )
-"""Field of view of the shorter side of its pictures."""
+"""Field of view of the shorter side of its images."""
 TABLE_MOUNT = Pose.from_matrix(
     np.array(
         [
@@ -64,22 +64,22 @@ TABLE_MOUNT = Pose.from_matrix(
         ]
     )
 )
-"""World from that camera: up in the picture is +y, as in maps."""
+"""World from that camera: up in the image is +y, as in maps."""
 WRIST_FOVY_RAD = math.radians(75.0)
 WRIST_EYE_M = (0.09, 0.0, 0.05)
-"""Where a wrist's camera sits, in the frame of the flange: beside the palm."""
+"""Position of a wrist camera in the frame of the flange, beside the palm [m]."""
 _WRIST_TARGET_M = (0.0, 0.0, TCP_OFFSET_M + 0.02)
 
 _PLAIN = tuple(field.name for field in fields(View) if field.name != "cameras")
 
 
 def wrist_name(robot: str) -> str:
-    """Return the name of the camera on a robot's wrist."""
+    """Return the name of a robot's wrist camera."""
     return f"{robot}_wrist"
 
 
 def reach_name(robot: str) -> str:
-    """Return the name of a robot's camera when it is cropped to where it reaches."""
+    """Return the name of a robot's overhead camera cropped to its reach."""
     return f"{robot}_reach"
 
 
@@ -90,16 +90,16 @@ def camera_names(robots: Sequence[str]) -> tuple[str, ...]:
 
 
 def close_cameras(robots: Sequence[str]) -> tuple[str, ...]:
-    """Return the cameras that are observed at control level unless others are chosen.
+    """Return the default cameras of the control level.
 
-    Cubes are wide in the first ones. The last one sees what no robot reaches without
-    the stick, which the first ones do not.
+    The first ones are close-ups, in which cubes are large. The last one shows the
+    regions that no robot reaches without the stick, which the close-ups do not.
     """
     return (*map(reach_name, robots), *map(wrist_name, robots), TABLE_NAME)
 
 
 def wrist_mount() -> Pose:
-    """Return the pose of a wrist's camera in the frame of the flange.
+    """Return the pose of a wrist camera in the frame of the flange.
 
     The fingers open to the left and to the right of the image.
     """
@@ -116,7 +116,7 @@ def wrist_mount() -> Pose:
 class CameraRig:
     """The cameras of a scene, of one image size.
 
-    Keep it: its renderer changes from scene to scene at little cost.
+    Reuse a rig: its renderer switches between scenes at little cost.
     """
 
     def __init__(
@@ -125,11 +125,11 @@ class CameraRig:
         height: int = CAMERA_HEIGHT_PX,
         renderer: str = "opengl",
     ) -> None:
-        """Prepare; OpenGL is started by the first picture.
+        """Prepare; OpenGL starts with the first image.
 
         Args:
-            width: Width of camera images [px]. Maps are fused from them, so policies
-                should see with the size that they were trained with.
+            width: Width of camera images [px]. Maps are fused from these images, so
+                evaluate policies at the size that they were trained with.
             height: Height of camera images [px].
             renderer: A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`.
 
@@ -147,10 +147,10 @@ class CameraRig:
         robots: Sequence[str] | None = None,
         cameras: Sequence[str] | None = None,
     ) -> View:
-        """Return what is seen now.
+        """Return the present view.
 
-        Images and map are rendered when they are first asked for, and show this moment
-        whatever happens to the scene in between. The scene is left alone.
+        Images and map are rendered on first access. They show the state at the time of
+        this call, even if the scene has changed since. The scene is not modified.
 
         Args:
             scene: The scene.
@@ -170,16 +170,16 @@ class CameraRig:
         cameras: bool = False,
         robots: Sequence[str] | None = None,
     ) -> View:
-        """Return what is seen now, rendered now: plain data, which knows no scene.
+        """Return the present view, already rendered: plain data without the scene.
 
         Args:
             scene: The scene.
             robots: Names of the robots whose joints and cameras are of interest; all
                 if None.
-            cameras: Whether the images of the cameras are kept beside the map.
+            cameras: Whether to include the camera images beside the map.
         """
         seen = self.look(scene, robots)
-        # First of all, or they are rendered twice.
+        # Read these first, or they are rendered twice.
         images = seen.cameras if cameras else {}
         return replace(View(*(getattr(seen, name) for name in _PLAIN)), cameras=images)
 
@@ -241,11 +241,11 @@ class CameraRig:
         return pictures
 
     def describe(self) -> str:
-        """Return what draws, and on what."""
+        """Return the name of the renderer and of its device."""
         return self._renderer.describe()
 
     def calibrated(self, scene: Scene, data: mujoco.MjData, name: str) -> Camera:
-        """Return intrinsics and extrinsics of a camera.
+        """Return a camera with its intrinsics and extrinsics.
 
         Args:
             scene: The scene.
@@ -273,7 +273,7 @@ class CameraRig:
         return Camera(name, Pose.from_matrix(placed[6] @ wrist_mount().matrix()), lens)
 
     def close(self) -> None:
-        """Forget the last scene; the rig can still be used afterwards."""
+        """Release the last scene; the rig can still be used afterwards."""
         self._renderer.close()
 
 
@@ -288,7 +288,7 @@ def round_depth(depth_m: DepthImage) -> None:
 
 
 class _SceneView(View):
-    """A view whose pictures are rendered when they are asked for."""
+    """A view whose images are rendered on first access."""
 
     _rig: CameraRig
     _scene: Scene
@@ -304,7 +304,7 @@ class _SceneView(View):
         cameras: tuple[str, ...],
     ) -> None:
         data, found = scene.data, [scene.robot(name) for name in robots]
-        # The base class is frozen, and this one not done yet.
+        # The base class is a frozen dataclass, so assign through ``vars``.
         vars(self).update(
             joints=np.array([data.qpos[robot.qpos] for robot in found]),
             opening_m=np.array([scene.opening_m(robot) for robot in found]),
@@ -323,7 +323,7 @@ class _SceneView(View):
 
     @cached_property
     def _map(self) -> MapImage:
-        # Images that nobody asked for are not kept: they are four times as large.
+        # Keep only the images that were read: the others are four times as large.
         seen: dict[str, CameraImage] = vars(self).get("cameras", {})
         if not set(self._robots) <= set(seen):
             seen = self._photograph(self._robots)
@@ -347,5 +347,5 @@ class _SceneView(View):
         return self._map.coverage
 
     def __reduce__(self) -> tuple[type[View], tuple[Any, ...]]:
-        """Return how it is pickled: as plain data, with all pictures."""
+        """Pickle as plain data, with all images rendered."""
         return View, tuple(getattr(self, field.name) for field in fields(View))

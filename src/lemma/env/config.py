@@ -34,7 +34,7 @@ RESET_OPTIONS = ("split", "index", "instance")
 """Options of ``reset``."""
 
 _MISSPELLED = 0.75
-"""How like one of ours, from 0 to 1, an option is that was meant to be it."""
+"""Similarity, from 0 to 1, from which on an unknown option counts as a misspelling."""
 _SEEDS = 2**31
 
 LEAST_HZ = 0.1
@@ -52,19 +52,19 @@ class EnvConfig:
     task: str
     """Name of the task: ``"poke_stack"``."""
     control: str = "ee_pose"
-    """Control level only: meaning of an action; a name in
+    """Control level only: control mode, which defines the action; a name in
     :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float = 20.0
     """Control level only: actions per second; 100 divided by a whole number, at least
     0.1. Videos are played at the nearest whole number of pictures per second."""
     clip_actions: bool = False
-    """Control level only: whether numbers out of bounds are clipped instead of
-    refused."""
+    """Control level only: clip numbers that are out of bounds instead of refusing
+    them."""
     delta_position_m: float = 0.05
-    """Control modes ``"delta_..."`` only: how far 1 moves the target, at most 1 m
+    """Control modes ``"delta_..."`` only: translation for an action of 1, at most 1 m
     [m]."""
     delta_rotation_rad: float = 0.25
-    """Control modes ``"delta_..."`` only: by how much 1 turns the target, at most 1 rad
+    """Control modes ``"delta_..."`` only: rotation for an action of 1, at most 1 rad
     [rad]."""
     observation: str = "state"
     """Content of observations; a name in :data:`lemma.env.observation.OBSERVATIONS`."""
@@ -83,32 +83,31 @@ class EnvConfig:
     render_height: int = 540
     """Height of the pictures of ``render()`` [px]."""
     split: str = ""
-    """Where instances come from: ``"train"``, ``"val"``, ``"test"``, or ``"free"`` for
+    """Source of instances: ``"train"``, ``"val"``, ``"test"``, or ``"free"`` for
     instances sampled on demand. By default ``"train"``, and ``"free"`` for a task that
     has no frozen lists."""
     index: int | None = None
-    """Number of the instance in its split; drawn anew by each reset if None."""
+    """Index of the instance in its split; chosen at random by each reset if None."""
     robots: tuple[str, ...] | None = None
     """Arm types of the team, such as ``("ur5", "ur10")``; any team of the task if None.
-    Frozen instances have them in either order; free ones from left to right, of any
-    registered arms."""
+    Frozen instances match in either order; free ones use the given order, from left to
+    right, and any registered arms."""
     instruction: str = "high_level"
     """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"`` or, for
     evaluation and not of split ``"train"``, ``"blind"``."""
     reward: str = "sparse"
-    """How steps are rewarded; a name in
-    :data:`lemma.env.signals.rewards.REWARDS`."""
+    """Reward function; a name in :data:`lemma.env.signals.rewards.REWARDS`."""
     reward_discount: float = 0.99
-    """The learner's discount gamma, which dense rewards are shaped for."""
+    """Discount gamma of the learner, used to shape dense rewards."""
     numeric_info: bool = False
-    """Whether ``info`` holds numbers alone, of the same names and shapes at every step,
-    as TorchRL wants them; see :func:`lemma.env.base_env.numbers_of`."""
+    """Whether ``info`` holds only numbers, with the same names and shapes at every
+    step, as TorchRL requires; see :func:`lemma.env.base_env.numbers_of`."""
     horizon_s: float = HORIZON_S
     """T_max: simulated time after which the episode is truncated, at least a servo tick
     of 0.01 s [s]."""
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the level."""
+        """Check the options that do not depend on the level."""
         TASKS[self.task]
         if isinstance(self.split, str) and not self.split:
             object.__setattr__(self, "split", default_split(self.task))
@@ -189,8 +188,8 @@ class EnvConfig:
     def at_control_level(self) -> Self:
         """Return the options with the control level's cameras and size of images.
 
-        Chosen values stay. Without images, all stay: the map is fused from each robot's
-        own camera at its usual size.
+        Options that were set stay. Without image observations, all stay: the map is
+        fused from each robot's own camera at its default size.
 
         Raises:
             UnknownNameError: No such observation.
@@ -234,15 +233,15 @@ class EnvConfig:
 def own_options(options: object) -> dict[str, Any]:
     """Return the options of ``reset`` that are meant for this package.
 
-    Toolboxes that wrap an environment pass options of their own down to it, so what is
-    foreign is ignored, with a warning.
+    Libraries that wrap an environment pass options of their own through, so unknown
+    options are ignored with a warning.
 
     Args:
-        options: Argument of ``reset``.
+        options: The argument ``options`` of ``reset``.
 
     Raises:
-        InvalidConfigError: It is no dictionary.
-        UnknownNameError: One of them looks like a misspelled one of ours.
+        InvalidConfigError: The argument is no dictionary.
+        UnknownNameError: An option looks like a misspelling of a known one.
     """
     if not isinstance(options, Mapping | None):
         raise InvalidConfigError(
@@ -264,7 +263,7 @@ def own_options(options: object) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _ignore(name: str) -> None:
-    """Warn that an option is ignored, once in this process."""
+    """Warn that an option is ignored, once per process."""
     warnings.warn(
         f"The option {name!r} of reset is not one of this environment and is ignored. "
         f"Its options are {', '.join(RESET_OPTIONS)}.",
@@ -276,15 +275,15 @@ class InstanceSource:
     """Finds instances for an environment."""
 
     def __init__(self, config: EnvConfig) -> None:
-        """Find instances of the task, split and team that a configuration names."""
+        """Select the instances of a configuration's task, split and team."""
         self._config = config
 
     def choose(self, options: Mapping[str, Any], rng: np.random.Generator) -> Instance:
-        """Return what an episode is about.
+        """Return the instance for the next episode.
 
         Args:
             options: Options of ``reset``; see :func:`own_options`.
-            rng: Draws, where nothing is named.
+            rng: Chooses at random if no instance is named.
 
         Raises:
             UnknownNameError: No such split.
@@ -304,7 +303,8 @@ class InstanceSource:
         """Check that an environment can be set up for an instance.
 
         Raises:
-            InvalidConfigError: It is none, of another team, or cannot be instructed.
+            InvalidConfigError: It is no instance, its team differs, or it lacks the
+            chosen kind of instruction.
         """
         if not isinstance(instance, Instance):
             raise InvalidConfigError(
@@ -354,5 +354,5 @@ class InstanceSource:
 
 @lru_cache(maxsize=256)
 def _sampled(task: str, index: int, team: tuple[str, ...] | None) -> Instance:
-    """Sample a free instance; some take seconds, so the last ones are kept."""
+    """Sample a free instance; cached, because some take seconds."""
     return sample(TASKS[task], FREE_SPLIT, index, team=team).instance

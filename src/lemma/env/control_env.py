@@ -1,4 +1,4 @@
-"""The control level: commands to the motors, 20 times a second."""
+"""The control level: motor commands, 20 times a second by default."""
 
 from typing import Any
 
@@ -13,21 +13,21 @@ from lemma.env.episode import Episode
 from lemma.env.simulation import TICK_S
 
 SETTLE_S = 0.5
-"""The episode ends when its goal has held for so long [s]."""
+"""The episode ends when its goal has held for this time [s]."""
 
 
 class ControlEnv(LemmaEnv):
-    """All robots are commanded at once: one row of numbers for each.
+    """An environment that commands all robots at once, with one row of numbers each.
 
     ``action_layout`` names rows and columns. Values out of bounds are an error, or are
-    clipped with ``clip_actions``; values that only a stronger arm could follow are no
-    error, the arm then does what it can.
+    clipped with ``clip_actions``; values that exceed only the limits of a weaker arm
+    are no error: its motion is limited.
 
-    The episode is terminated when the goal has held for half a second with nothing in
-    any gripper but what it wants held, or when an object is thrown, and truncated at
-    T_max; then the robots stand still for a second, and success is judged. A robot is
-    busy, for ``info["idle_s"]``, while a joint turns faster than 0.02 rad/s or a finger
-    moves faster than 2 mm/s.
+    The episode is terminated when the goal has held for half a second, with nothing in
+    a gripper unless the goal requires it, or when an object is thrown. It is truncated
+    at T_max. Then the robots stand still for a second, and success is judged. A robot
+    is busy, for ``info["idle_s"]``, while a joint turns faster than 0.02 rad/s or a
+    finger moves faster than 2 mm/s.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
@@ -43,7 +43,7 @@ class ControlEnv(LemmaEnv):
         super().__init__(config.at_control_level(), render_mode)
         self.mode = CONTROLS[config.control]
         self.actuation = self.mode.actuation
-        # Writers of videos want a whole number.
+        # Video writers need an integer.
         self.metadata["render_fps"] = max(1, round(config.control_hz))
         self.action_layout = self.mode.layout(self.robot_names)
         self.action_space = self.action_layout.box()
@@ -62,14 +62,14 @@ class ControlEnv(LemmaEnv):
         self._settled_s = 0.0
 
     def take_over(self, episode: Episode) -> None:
-        """Go on with an episode that is under way, from where its robots are.
+        """Continue a running episode from its present state.
 
         Args:
-            episode: Episode with a team as large as this environment's; its robots
-                stand where they were last moved to.
+            episode: Episode with a team as large as this environment's; its robots are
+                at rest.
 
         Raises:
-            InvalidConfigError: Its motors are driven otherwise, or its team is another.
+            InvalidConfigError: Its actuation or its number of robots differs.
         """
         scene = episode.simulation.scene
         if scene.actuation != self.actuation:
@@ -105,7 +105,7 @@ class ControlEnv(LemmaEnv):
             Observation, reward, terminated, truncated and info.
 
         Raises:
-            InvalidActionError: The action is not in the space. Nothing has moved then.
+            InvalidActionError: The action is not in the space; nothing has moved.
             ResetNeededError: The episode is over.
         """
         reward, terminated, truncated = self.advance(action)
@@ -113,7 +113,7 @@ class ControlEnv(LemmaEnv):
         return self.observe(), reward, terminated, truncated, info
 
     def advance(self, action: ArrayLike) -> tuple[float, bool, bool]:
-        """Step without looking: return reward, terminated and truncated."""
+        """Step without an observation: return reward, terminated and truncated."""
         episode = self._running()
         rows = self.action_layout.check(action, clip=self.config.clip_actions)
         controller, simulation = self.controller, episode.simulation
@@ -125,7 +125,7 @@ class ControlEnv(LemmaEnv):
             controller.count_busy()
         clocks, ticks = simulation.clocks.values(), controller.busy_ticks()
         for clock, busy in zip(clocks, ticks, strict=True):
-            # Tick by tick: a product would have other last bits.
+            # Add tick by tick: a product would differ in the last bits.
             for _ in range(busy):
                 clock.busy_s += TICK_S
         step_s = 1.0 / self.config.control_hz
@@ -136,7 +136,7 @@ class ControlEnv(LemmaEnv):
             episode.stop()
         episode.conclude()
         if episode.is_over:
-            # Time has passed since.
+            # The cached goal progress is out of date.
             self._goal_progress = None
         reward = self.rewards.reward(episode)
         terminated = episode.stopped or episode.has_failed

@@ -39,19 +39,19 @@ _LARGEST_DEPTH_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """Content of an observation beside joints and instruction."""
+    """Contents of an observation beside joints and instruction."""
 
     rgb: bool = False
     """``pixels``: for each camera, (height, width, 3)."""
     depth: bool = False
-    """``depth``: for each camera, (height, width) [m] in steps of 0.1 mm; 0
-    where nothing is."""
+    """``depth``: for each camera, (height, width) [m] in steps of 0.1 mm; 0 where
+    nothing is seen."""
     topdown: bool = False
     """``map``: all cameras fused, from above; see :mod:`lemma.scene.raster`."""
     truth: bool = False
-    """Poses of objects and robots, and the goal: not for a fair comparison."""
+    """Poses of objects and robots, and the goal: privileged state."""
     goal: bool = False
-    """``goal_state``: what each hand has to do with the goal, from the same truth; see
+    """``goal_state``: relation of each hand to the goal, from the true state; see
     :mod:`lemma.env.signals.goal_state`."""
 
     @property
@@ -75,12 +75,12 @@ TRUTH = ("objects", "present", "robots", "goal", "goal_poses")
 POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Numbers of a pose."""
 GOAL_PAIRS = 4
-"""For how many pairs of a goal there is room among the goal's poses."""
+"""Largest number of pairs in a goal, which sizes its array of poses."""
 _BASE = ("base_x", "base_y", "base_yaw", "reach")
 
 
 class Observer:
-    """Makes observations of some of the robots of a team.
+    """Makes observations for some of the robots of a team.
 
     ``agent_pos`` holds, for each robot, six joint angles [rad] and the opening of the
     gripper [m]; ``agent_vel`` their rates; ``tcp_pose`` the position [m] and unit
@@ -96,17 +96,17 @@ class Observer:
         size: tuple[int, int],
         cameras: tuple[str, ...] | None = None,
     ) -> None:
-        """Define the space; OpenGL is started by the first picture.
+        """Define the space; OpenGL starts with the first image.
 
         Args:
             mode: A name in :data:`OBSERVATIONS`.
-            robots: Numbers of the robots that are observed.
+            robots: Indices of the observed robots.
             size: Width and height of camera images [px].
             cameras: Names of the cameras; those of these robots if None.
 
         Raises:
             UnknownNameError: No such mode.
-            InvalidConfigError: No such images can be rendered.
+            InvalidConfigError: Images of this size cannot be rendered.
         """
         self.contents = OBSERVATIONS[mode]
         self.rig = CameraRig(*size)
@@ -179,14 +179,14 @@ class Observer:
         }
 
     def observe(self, episode: Episode, kind: str) -> Observation:
-        """Look at an episode.
+        """Return the observation of an episode's present state.
 
         Args:
             episode: The episode.
-            kind: Which of its instructions is given.
+            kind: Kind of the instruction.
 
         Raises:
-            RenderingError: Pictures are asked for, and OpenGL does not work here.
+            RenderingError: Images are observed, and OpenGL does not work here.
         """
         scene = episode.simulation.scene
         if self._proprioception is None or self._proprioception.scene is not scene:
@@ -227,11 +227,11 @@ class Observer:
         return self._fit("base_pose", np.ravel(rows))
 
     def view(self, scene: Scene) -> View:
-        """Return what a policy sees now."""
+        """Return the present view of a policy."""
         return self.rig.look(scene, self._names, self.cameras)
 
     def close(self) -> None:
-        """Free what rendering uses."""
+        """Free the resources of rendering."""
         self.rig.close()
 
     def _see(self, view: View) -> Observation:
@@ -251,7 +251,7 @@ class Observer:
     def truth(
         self, poses: Mapping[str, FloatArray], spec: SceneSpec, goal: Goal
     ) -> Observation:
-        """Return the truth, for an observer of it.
+        """Return the true state, for privileged observers.
 
         Args:
             poses: Poses of every object, see :func:`object_poses`.
@@ -267,8 +267,8 @@ class Observer:
             present[number[name]] = 1
         asked = np.zeros((GOAL_PAIRS, 2, 7))
         for pair, (top, bottom) in enumerate(goal.pairs):
-            # A hand has neither a number nor a pose: the object stands for it in the
-            # table, and zeros in the pair tell which of the two the hand is.
+            # A hand has neither an index nor a pose. In the table, the object's pose
+            # stands for it; zeros in the pair mark which of the two is the hand.
             there = [name for name in (top, bottom) if name != HAND]
             wanted[number[there[0]], number[there[-1]]] = 1
             if pair < GOAL_PAIRS:
@@ -289,7 +289,7 @@ class Observer:
         }
 
     def _fit(self, name: str, values: Any) -> NDArray[np.float32]:
-        """Return values in the precision of their space, clipped to its bounds."""
+        """Return values in the dtype of their space, clipped to its bounds."""
         space = self.space[name]
         assert isinstance(space, spaces.Box)
         array = np.asarray(values, np.float32)
@@ -298,16 +298,16 @@ class Observer:
 
 
 def truth_vector(observation: Mapping[str, Any]) -> NDArray[np.float32]:
-    """Return the truth in an observation as one row, part after part of :data:`TRUTH`.
+    """Return the true state in an observation as one vector, by :data:`TRUTH`.
 
-    For two robots and the objects that ship 273 numbers.
+    For two robots and the built-in objects it has 273 numbers.
     """
     rows = [np.ravel(observation[part]) for part in TRUTH]
     return np.concatenate(rows).astype(np.float32)
 
 
 def truth_names(robots: Sequence[str]) -> list[str]:
-    """Return what each number of :func:`truth_vector` is, for a team."""
+    """Return the name of each number of :func:`truth_vector` for a team."""
     entities = known_entities()
     return [
         *(f"{name}.{axis}" for name in entities for axis in POSE_AXES),
@@ -326,8 +326,8 @@ def truth_names(robots: Sequence[str]) -> list[str]:
 def write_text(text: str) -> NDArray[np.uint8]:
     """Return a text as ASCII codes, padded with zeros.
 
-    Gymnasium's own space of texts does not survive vector environments that share
-    memory: their observations stay what they were.
+    Gymnasium's own text space does not work with vector environments that share memory:
+    their observations never change.
     """
     return _codes(text).copy()
 

@@ -13,9 +13,10 @@ from lemma.tasks.subtask import GroundedSubTask
 class SubTaskEnv(LemmaEnv):
     """Common base of skill level and plan level: a step executes one sub-task.
 
-    The episode is terminated by ``stop``, and success is judged then; it is truncated
-    at T_max. ``info["outcome"]`` and ``info["explanation"]`` say how the sub-task went.
-    An infeasible sub-task is no error: the world stays valid, and a second passes.
+    The episode is terminated by ``stop``, and then success is judged; it is truncated
+    at T_max. ``info["outcome"]`` and ``info["explanation"]`` describe the result of the
+    sub-task. An infeasible sub-task raises no error: the state stays valid, and a
+    second passes.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
@@ -32,14 +33,14 @@ class SubTaskEnv(LemmaEnv):
         self.metadata["render_fps"] = 1
         self._max_episode_steps = max(1, round(config.horizon_s / LEAST_STEP_S))
         self.last_result: SkillResult | None = None
-        """How the last sub-task went; None before the first."""
+        """Result of the last sub-task; None before the first."""
 
     def _begin(self, episode: Episode) -> None:
         super()._begin(episode)
         self.last_result = None
 
     def _execute(self, action: Action) -> SkillResult:
-        """Do what an action says, or say why not."""
+        """Execute an action, or return why it cannot be executed."""
         raise NotImplementedError
 
     def step(self, action: Action) -> StepResult:
@@ -83,7 +84,7 @@ class SubTaskEnv(LemmaEnv):
 
 
 class SkillEnv(SubTaskEnv):
-    """An action is who does what from which pose to which: no names of objects."""
+    """Actions are a robot, a primitive, a pick pose and a place pose."""
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
         """Define the spaces; nothing is simulated before the first reset.

@@ -1,4 +1,4 @@
-"""States of a simulation that can be kept, clocks of robots, and what they are at."""
+"""Snapshots of a simulation, time counters of robots, and running sub-tasks."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from lemma.tasks.subtask import GroundedSubTask
 
 @dataclass
 class RobotClock:
-    """How one robot spends its time."""
+    """Time counter of one robot."""
 
     busy_s: float = 0.0
     """Executing sub-tasks [s]."""
@@ -25,7 +25,7 @@ class RobotClock:
 
 @dataclass(frozen=True, slots=True)
 class ArmSnapshot:
-    """State of an arm's motion, beside the physics."""
+    """State of an arm's motion that is not in the physics."""
 
     reference: FloatArray
     """Joint angles and velocities that the servos follow, (2, 6) [rad, rad/s]."""
@@ -44,9 +44,9 @@ class SimulationSnapshot:
     """The full integration state."""
     arms: dict[str, ArmSnapshot]
     coasting: CoastingState
-    """How far each object has moved by itself."""
+    """How far each object has moved without a robot."""
     waiting: WaitingTimes
-    """How long arms waited for others so far."""
+    """Time that each arm has waited for others."""
 
 
 @dataclass(slots=True)

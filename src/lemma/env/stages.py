@@ -1,24 +1,23 @@
-"""Stages: how far an episode has come, by physics alone.
+"""Stages: progress of an episode, measured by physics alone.
 
-The expert's plan for the instance is a ladder: each of its sub-tasks has five stages,
+Each sub-task of the expert's plan for the instance has five stages:
 
-1. *approached*: the hand of an able robot is near what is grasped,
-2. *touched*: it touches it,
-3. *grasped*: both fingers do,
-4. *lifted*: and it is off the table or elsewhere; or *dragged*: the stick is held, and
-   the cube elsewhere,
-5. *placed*: what was moved rests where the sub-task puts it, and no robot leads it.
+1. *approached*: the hand of an able robot is near the grasp pose of the object,
+2. *touched*: it touches the object,
+3. *grasped*: both fingers touch the object,
+4. *lifted*: the grasped object is off the table or has moved; or *dragged*: the stick
+   is held, and the cube has moved,
+5. *placed*: the moved object rests at its place in the sub-task, and no robot leads it.
 
 ``reach`` has two, approached and placed: the hand is over the object. ``lift`` has
 four: approached, touched, grasped and lifted.
 
-``progress`` is the share of the stages of all sub-tasks that are reached *in order and
-not undone*: the stages of a sub-task count once the earlier sub-tasks about the same
-objects are done, and what is dropped, knocked away or taken back counts no more. A goal
-that holds has 1. Nothing here depends on who decides, or at which level.
+``progress`` is the fraction of the stages of all sub-tasks that are reached *in order
+and not undone*: the stages of a sub-task count once the earlier sub-tasks with the same
+objects are done, and stages no longer count after an object is dropped, knocked away or
+taken back. It is 1 if the goal holds. It does not depend on the policy or the level.
 
-A robot is *able* if it reaches what the sub-task picks and, where that is an object,
-what it is put on.
+A robot is *able* if it reaches the picked entity and, if that is an object, its place.
 """
 
 from collections.abc import Callable, Iterator
@@ -54,7 +53,7 @@ from lemma.tasks.goal import Goal, Lifted, On, Predicate, Reached, is_at_rest
 from lemma.tasks.subtask import Primitive, SubTask
 
 LOOK_TICKS = 5
-"""Servo ticks between two looks: 50 ms."""
+"""Servo ticks between two updates: 50 ms."""
 
 _PREPARES = {Primitive.PREHOOK: Primitive.HOOK, Primitive.PREPOKE: Primitive.POKE}
 _DRAGS = tuple(_PREPARES.values())
@@ -65,14 +64,14 @@ _HANDS: dict[Primitive, Callable[[str], Predicate]] = {
 
 
 class Stage(StrEnum):
-    """A physical event on the way of a sub-task."""
+    """A physical milestone of a sub-task."""
 
     APPROACHED = "approached"
     TOUCHED = "touched"
     GRASPED = "grasped"
     LIFTED = "lifted"
     DRAGGED = "dragged"
-    """In place of lifted, where the stick moves a cube."""
+    """Replaces ``LIFTED`` if the stick moves a cube."""
     PLACED = "placed"
 
 
@@ -81,7 +80,7 @@ _DRAGGED = tuple(Stage.DRAGGED if s is Stage.LIFTED else s for s in _LADDER)
 
 
 def stages_of(primitive: Primitive) -> tuple[Stage, ...]:
-    """Return the stages of a sub-task in order; the last one is that it is done."""
+    """Return the stages of a sub-task in order; the last one completes it."""
     if primitive is Primitive.REACH:
         return (Stage.APPROACHED, Stage.PLACED)
     if primitive is Primitive.LIFT:
@@ -91,12 +90,12 @@ def stages_of(primitive: Primitive) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Furthest:
-    """The most that was reached in an episode."""
+    """The furthest progress in an episode."""
 
     progress: float = 0.0
-    """Share of the stages, in [0, 1]."""
+    """Fraction of the stages, in [0, 1]."""
     subtask: int | None = None
-    """Number in the plan of the last sub-task of which a stage was reached."""
+    """Index in the plan of the last sub-task with a reached stage."""
     stage: str = ""
     """That stage; empty if there was none."""
     time_s: float = 0.0
@@ -105,17 +104,17 @@ class Furthest:
 
 @dataclass(frozen=True, slots=True)
 class FirstMove:
-    """The first object that a robot moved, and how that went."""
+    """The first object that a robot moved, and the verdicts on this move."""
 
     entity: str
     robot: str
     understood: bool | None = None
-    """Whether it belongs to the goal, and went where it belongs; None while it is
-    still under way."""
+    """Whether the object belongs to the goal and went to its place; None during the
+    move."""
     allocated: bool = False
-    """Whether it was moved by a robot that can."""
+    """Whether an able robot moved it."""
     executed: bool | None = None
-    """Whether the sub-task was done with it: it rests where the plan puts it."""
+    """Whether the sub-task was completed: the object rests at its place in the plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +132,12 @@ class StageState:
 
 
 class StageWatch:
-    """Follows an episode up the ladder of the expert's plan."""
+    """Follows an episode through the stages of the expert's plan."""
 
     def __init__(self, simulation: Simulation, goal: Goal) -> None:
-        """Begin in the first state of an episode, and watch from then on."""
-        # The simulation holds this watch: in a circle, both would wait for the garbage
-        # collector, with the engine's memory.
+        """Start in the first state of an episode, and observe the simulation."""
+        # The simulation refers to this watch. A weak proxy avoids a reference cycle,
+        # which would keep the engine's memory until garbage collection.
         self._simulation: Simulation = proxy(simulation)
         self._goal = goal
         self._scene = simulation.scene
@@ -158,9 +157,10 @@ class StageWatch:
         self._ticks, self._near = 0, False
         self._stood: list[bool] | None = None
         self.progress = 1.0 if self._holds() else 0.0
-        """Share of the stages that are reached in order and not undone, in [0, 1]."""
+        """Fraction of the stages that are reached in order and not undone, in [0,
+        1]."""
         self.furthest = Furthest(self.progress)
-        """The most that was reached so far."""
+        """The furthest progress so far."""
         self.first: FirstMove | None = None
         """The first object that was moved; None before."""
         simulation.observers.append(self.look)
@@ -179,10 +179,10 @@ class StageWatch:
         """Return the furthest stage and the verdicts, ready for JSON.
 
         Returns:
-            ``progress``, ``subtask``, ``stage`` and ``time_s`` of the most that was
-            reached; ``moved``, the first object that a robot moved, ``by`` the robot;
-            and of that move ``understood``, ``allocated`` and ``executed``, None where
-            there was none or it did not come to an end.
+            ``progress``, ``subtask``, ``stage`` and ``time_s`` of the furthest
+            progress; ``moved``, the first object that a robot moved, and ``by``, the
+            robot; and the verdicts ``understood``, ``allocated`` and ``executed`` on
+            that move, None if there was none or it did not end.
         """
         most, first = self.furthest, self.first
         return {
@@ -198,7 +198,7 @@ class StageWatch:
         }
 
     def state(self) -> StageState:
-        """Return what is known so far."""
+        """Return the present state of this watch."""
         stood = None if self._stood is None else tuple(self._stood)
         seen = tuple(self._seen.ravel().tolist())
         looked = "_events" in self.__dict__
@@ -207,7 +207,7 @@ class StageWatch:
         return StageState(*watched, self.progress, self.furthest, self.first)
 
     def restore(self, state: StageState) -> None:
-        """Go back to what was known before."""
+        """Restore an earlier state of this watch."""
         self._ticks, self._near, self.progress = state.ticks, state.near, state.progress
         self._seen[:] = np.reshape(state.seen, self._seen.shape)
         self.__dict__.pop("_events", None)
@@ -217,7 +217,7 @@ class StageWatch:
         self.furthest, self.first = state.furthest, state.first
 
     def look(self) -> None:
-        """Look at the present state, after a servo tick."""
+        """Update from the present state, after a servo tick."""
         simulation, data = self._simulation, self._scene.data
         self._ticks += 1
         if self._ticks % LOOK_TICKS:
@@ -245,7 +245,7 @@ class StageWatch:
         return self._goal.progress(self._scene) == 1.0
 
     def _progress(self) -> tuple[float, int | None, str]:
-        """Return the present progress, and the last sub-task and stage of it."""
+        """Return the present progress, and its last sub-task and stage."""
         plan = self.plan
         if not plan:
             share = self._goal.progress(self._scene)
@@ -268,12 +268,12 @@ class StageWatch:
                 last, stage = i, steps[level - 1]
         if self._holds():
             return 1.0, len(plan) - 1, stages_of(plan[-1].primitive)[-1]
-        # A goal that does not hold yet is not reached, whatever the plan said.
+        # Progress stays below 1 until the goal holds, even if the plan is done.
         total = len([s for step in plan for s in stages_of(step.primitive)])
         return min(reached, total - 1) / total, last, stage
 
     def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:
-        """Yield the earlier sub-tasks about the same objects; pads bind nothing."""
+        """Yield the earlier sub-tasks with the same objects; pads do not count."""
         mine = {name for name in _entities(plan[i]) if name in self._number}
         return (k for k in range(i) if mine & {*_entities(plan[k])})
 
@@ -301,7 +301,7 @@ class StageWatch:
         return level
 
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
-        """Whether a robot reaches what a sub-task picks, and what it puts that on."""
+        """Return True if a robot reaches the pick of a sub-task and its place."""
         reaches = self._grounder.reaches
         if not held and not reaches(robot, self._grip(step.pick)):
             return False
@@ -310,12 +310,12 @@ class StageWatch:
         return True
 
     def _grip(self, name: str) -> Pose2:
-        """Return where an object is grasped."""
+        """Return the grasp pose of an object."""
         pose = self._scene.pose2(name)
         return grasp_on_stick(pose) if name == STICK else pose
 
     def _hand_m(self, robot: int, name: str) -> float:
-        """Return the distance of a hand from where an object is grasped [m]."""
+        """Return the distance of a hand from an object's grasp position [m]."""
         x, y, z = self._scene.data.site_xpos[self._sites[robot]].tolist()
         grip, height = self._grip(name), self._scene.position(name)[2]
         return float(np.sqrt((x - grip.x) ** 2 + (y - grip.y) ** 2 + (z - height) ** 2))
@@ -335,7 +335,7 @@ class StageWatch:
         return not led and is_at_rest(self._scene, name)
 
     def _is_placed(self, plan: tuple[SubTask, ...], i: int) -> bool:
-        """Whether what a sub-task moves rests where it belongs."""
+        """Return True if the object that a sub-task moves rests at its place."""
         step = plan[i]
         if step.primitive in _PREPARES:
             now = SymbolicState.observe(self._scene)
@@ -368,7 +368,7 @@ class StageWatch:
         return not any(stood[k] or levels[k] >= 2 for k in later)
 
     def _follow_first_move(self) -> None:
-        """Find the first object that is moved; judge it when it comes to rest."""
+        """Find the first moved object, and judge the move when it comes to rest."""
         if self.first is None:
             for item, name in enumerate(self._names):
                 if self._led[item] and self._way_m(item) > MOVED_M:
@@ -400,7 +400,7 @@ class StageWatch:
         return None
 
     def _belongs(self, name: str) -> bool:
-        """Whether an object of the goal lies where another robot gets it."""
+        """Return True if an object of the goal lies where another robot can take it."""
         if name not in {entity for step in self.plan for entity in _entities(step)}:
             return False
         now = SymbolicState.observe(self._scene)
@@ -414,7 +414,7 @@ class StageWatch:
 
 
 def _subject(step: SubTask) -> str:
-    """Return what a sub-task gets elsewhere: the cube that is dragged, or the pick."""
+    """Return the object that a sub-task moves: the dragged cube, or the pick."""
     return step.place if step.primitive in _DRAGS else step.pick
 
 
@@ -423,7 +423,7 @@ def _entities(step: SubTask) -> tuple[str, str]:
 
 
 def _next_robots(plan: tuple[SubTask, ...], i: int) -> tuple[str, ...]:
-    """Return the robot that handles next what a sub-task moves."""
+    """Return the robot that handles the object of a sub-task next."""
     subject = _subject(plan[i])
     later = (step for step in plan[i + 1 :] if subject in _entities(step))
     return tuple(step.robot for step in later)[:1]

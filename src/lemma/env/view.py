@@ -1,8 +1,8 @@
 """Observation of a policy at one moment.
 
-Environments, rendered data and evaluation all make their observations of the views of
-:class:`lemma.env.camera_rig.CameraRig`, so they are equal to the bit. A view itself is
-plain data: a server of policies that receives views over a network needs no simulator.
+Environments, rendered data and evaluation all use the views of
+:class:`lemma.env.camera_rig.CameraRig`, so their observations are bit-identical. A view
+is plain data: a policy server that receives views over a network needs no simulator.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,8 @@ class View:
     rgb: NDArray[np.uint8]
     """Map: color, (rows, columns, 3)."""
     height_m: NDArray[np.float32]
-    """Map: height above the table [m], (rows, columns); 0 where no camera sees."""
+    """Map: height above the table [m], (rows, columns); 0 where no camera sees the
+    cell."""
     coverage: NDArray[np.bool_]
     """Map: whether a camera sees the cell, (rows, columns)."""
     joints: FloatArray
@@ -38,6 +39,5 @@ class View:
     opening_m_s: FloatArray | None = None
     """Rates of the gripper openings [m/s], (robots,); None if they were not sent."""
     cameras: Mapping[str, CameraImage] = field(default_factory=dict)
-    """Image of each robot's camera, with intrinsics and extrinsics, by the names of
-    the robots, or what the cameras see that an environment was asked for, by theirs;
-    empty if it was not sent."""
+    """Images with intrinsics and extrinsics, by camera name; by default those of the
+    robots' cameras. Empty if they were not sent."""

@@ -1,1 +1,1 @@
-"""How well policies do: episodes played, counted and compared."""
+"""Evaluation of policies: episodes, counts and comparisons."""

@@ -1,4 +1,4 @@
-"""`lemma.evaluate`: a policy that is an object, or a name, on a frozen split."""
+"""`lemma.evaluate`: evaluate a policy, as an object or by name, on a frozen split."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,22 +35,21 @@ from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of a policy on some episodes; printed, it is a table."""
+    """Result of a policy on some episodes; prints as a table."""
 
     result: Result
-    """Counts, causes of failure, and what decided them."""
+    """Counts, causes of failure, and settings."""
     rows: tuple[Row, ...]
-    """One line for each episode, as in ``episodes.jsonl``; docs/evaluation.md says what
-    is in it."""
+    """One line for each episode, as in ``episodes.jsonl``; see docs/evaluation.md."""
 
     @property
     def success_rate(self) -> float:
-        """Strict successes, of all episodes, in [0, 1]."""
+        """Strict success rate over all episodes, in [0, 1]."""
         return sum(bool(row["success"]) for row in self.rows) / len(self.rows)
 
     @property
     def errors(self) -> tuple[str, ...]:
-        """Failures of the policy: it raised, hung, or answered no decision."""
+        """Faults of the policy: exceptions, timeouts and invalid decisions."""
         return tuple(
             f"{row['task']} {row['index']}: {row['policy_error']['explanation']}"
             for row in self.rows
@@ -60,7 +59,7 @@ class Evaluation:
     def __str__(self) -> str:
         """Return success rates [%] by task and kind of instruction, in Markdown.
 
-        Where robots act together, what they do with their time as well.
+        If robots act together, also return their use of time.
         """
         text = rates(self.result.cells).markdown()
         teams = self.result.teams
@@ -89,37 +88,39 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
     out: str | Path | None = None,
     workers: int = 1,
 ) -> Evaluation:
-    """Let a policy play the episodes of a frozen split, and count its successes.
+    """Evaluate a policy on a split, and count its successes.
 
     Args:
         policy: An object with ``act(inputs)``, or a planner with ``plan(inputs)``; see
-            :mod:`lemma.policies.interfaces`. Or a name, as ``lemma evaluate --policy``
-            takes it.
-        level: ``"skill"``: it decides with poses; ``"plan"``: in symbols, and the
-            expert adds the poses; ``"control"``: by motor commands, see
-            :mod:`lemma.policies.control.interfaces`. By default what it can do; an
-            object controls if it has ``control_options``.
+            :mod:`lemma.policies.interfaces`. Or a name, as for ``lemma evaluate
+            --policy``.
+        level: ``"skill"``: decisions have poses; ``"plan"``: decisions are symbolic,
+            and the expert adds the poses; ``"control"``: motor commands, see
+            :mod:`lemma.policies.control.interfaces`. By default the level that the
+            policy supports; an object with ``control_options`` acts at control level.
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
         kinds: Instructions: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``.
         episodes: Only the first so many of every task; split ``"free"`` needs it.
-        planning: ``"single-step"``, or ``"multi-step"``: from the first image alone.
+        planning: ``"single-step"``: look before every sub-task; or ``"multi-step"``:
+        plan once, from the first image.
         gta: Ground-truth allocation: the right robot replaces the planner's choice.
         protocol: ``"both"`` verdicts, or ``"strict"`` alone.
         acting: ``"turns"``, or ``"together"``: several robots at the same time, which
             is the default in tasks of the suite ``teams``; see
             :mod:`lemma.policies.together.interfaces`.
         adapter: How a sequential policy acts together: ``"greedy"`` or ``"turns"``.
-        out: Folder of lines and summary, as of ``lemma evaluate --out``; or None. With
-            a name, what is there is not played again; an object needs a new one.
-        workers: Processes that play; more than one only with a name.
+        out: Folder for lines and summary, as in ``lemma evaluate --out``; or None. A
+            policy with a name resumes there; an object needs a new folder.
+        workers: Number of processes; more than one only for a policy with a name.
 
     Returns:
-        The lines of all episodes, and what they count.
+        The lines of all episodes, and their counts.
 
     Raises:
-        LemmaError: There is no such policy, task, split or kind, or it is none.
+        LemmaError: There is no such policy, task, split or kind, or the object is no
+        policy.
     """
     tasks, kinds = _names(tasks), _names(kinds)
     ways = {"acting": acting, "adapter": adapter}
@@ -133,7 +134,7 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
 def _evaluated(
     asked: dict[str, Any], engine: Engine, out: str | Path | None
 ) -> Evaluation:
-    """Play, and keep a folder if there shall be one."""
+    """Run the evaluation, in a temporary folder if none is given."""
     with temporary_folder() as nowhere:
         config = EvaluationConfig(out=Path(out or nowhere), **asked)
         rows = play(config, engine)
@@ -144,12 +145,12 @@ def _evaluated(
 
 
 def _names(names: str | Sequence[str]) -> tuple[str, ...]:
-    """Return one name, or several, as several."""
+    """Return one or several names as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
-    """Refuse a result to go on with if nobody knows whose it is.
+    """Refuse to resume the result of an unknown object.
 
     Raises:
         InvalidConfigError: An object plays into a folder that holds a result.
@@ -164,7 +165,7 @@ def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
 
 
 def usual_split(tasks: Sequence[str]) -> str:
-    """Return the list that tasks are played on unless another is named."""
+    """Return the default split of tasks."""
     return "test" if all(map(has_frozen_lists, tasks)) else FREE_SPLIT
 
 
@@ -177,7 +178,7 @@ def _policy(
     tasks: Sequence[str],
     ways: dict[str, str],
 ) -> tuple[PolicySpec, Engine]:
-    """Return what to play, and where."""
+    """Return the policy's spec, and the engine that runs it."""
     workers = whole("workers", workers, 1)
     if level:
         known("level", level, LEVELS)
@@ -204,10 +205,10 @@ def named_at(policy: str, level: str) -> str:
 
     Args:
         policy: Its name.
-        level: ``"plan"`` or ``"skill"``; anything else for what it can do.
+        level: ``"plan"`` or ``"skill"``; anything else for the level that it supports.
 
     Raises:
-        InvalidConfigError: It decides at the other one.
+        InvalidConfigError: The policy decides at the other level.
     """
     if level == LEVELS[0]:
         if len(parts_of(policy)) > 1:

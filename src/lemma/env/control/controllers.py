@@ -1,11 +1,11 @@
-"""Controllers: they drive the arms by the actions of an environment.
+"""Controllers, which drive the arms by the actions of an environment.
 
-A motor stays inside the limits of its robot for every action. References move at no
-more than 95% of a joint's velocity limit and with a bounded acceleration, and servos
-catch up no faster. Torques that would make a joint too fast within a physics step are
-reduced to those that make it just as fast as it may be. The safety filter
-(:mod:`lemma.env.control.safety_filter`) does the same for motions that would ram an arm
-into something. A real robot would make a protective stop instead.
+Every action keeps the motors within the limits of their robot. References move at no
+more than 95% of a joint's velocity limit and with bounded acceleration, and servos
+catch up no faster. Torques that would exceed a joint's velocity limit within a physics
+step are reduced to reach just that limit. The safety filter
+(:mod:`lemma.env.control.safety_filter`) likewise slows motions that would collide. A
+real robot would make a protective stop instead.
 """
 
 from abc import ABC, abstractmethod
@@ -29,7 +29,7 @@ from lemma.motion.arm_motion import ArmMotion
 
 @dataclass(frozen=True, kw_only=True)
 class StepSize:
-    """How far 1 goes in an action that moves poses step by step."""
+    """Scale of the actions of delta control modes: the motion for a value of 1."""
 
     position_m: float = 0.05
     """Along each axis [m]."""
@@ -45,7 +45,7 @@ class Controller(ABC):
 
         Args:
             arms: All arms of a scene, in the order of an action's rows.
-            step: For controllers that move poses step by step.
+            step: Scale of actions, for delta control modes.
         """
         self.arms = arms
         self.step = step
@@ -56,7 +56,7 @@ class Controller(ABC):
         self.states = np.stack([arm.state for arm in arms])
         """The references of all arms, (n, 2, 6) [rad, rad/s]."""
         for arm, state in zip(arms, self.states, strict=True):
-            # The same memory: an arm that is moved or restored is moved here too.
+            # Share memory: moving or restoring an arm updates it here too.
             arm.state = state
         data = self.scene.data
         self.qvel: FloatArray = data.qvel
@@ -65,9 +65,9 @@ class Controller(ABC):
             *(guard.records, self.states, self.openings),
             *(guard.obstacles, guard.objects, data.qpos, data.ctrl),
         )
-        """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`,
-        which read and write them in place: they belong to the arms, the safety filter
-        and the simulation."""
+        """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`:
+        arrays of the arms, the safety filter and the simulation, which kernels read and
+        write in place."""
         self._busy_ticks = np.zeros(len(arms), np.int64)
         self._count = partial(count_moving, guard.records, self.qvel, self._busy_ticks)
 
@@ -75,11 +75,11 @@ class Controller(ABC):
         """Check an action; changes nothing.
 
         Raises:
-            InvalidActionError: It is in bounds, but makes no sense.
+            InvalidActionError: It is in bounds, but invalid.
         """
 
     def command(self, rows: FloatArray) -> None:
-        """Set the next action, (n, k); last in a row is the opening of the gripper."""
+        """Set the next action, (n, k), with the gripper opening in the last column."""
         self.openings[:] = rows[:, -1]
         for arm, opening_m in zip(self.arms, self.openings.tolist(), strict=True):
             arm.opening_m = opening_m
@@ -97,10 +97,10 @@ class Controller(ABC):
         """Command the motors, before every physics step."""
 
     def busy_ticks(self) -> list[int]:
-        """Return in how many servo ticks each arm moved since the last call.
+        """Return the number of servo ticks in which each arm moved since the last call.
 
-        An arm moves if at the end of a tick a joint is faster than 0.02 rad/s
-        or a finger than 2 mm/s.
+        An arm moves if, at the end of a tick, a joint is faster than 0.02 rad/s or a
+        finger is faster than 2 mm/s.
         """
         found = self._busy_ticks.tolist()
         self._busy_ticks[:] = 0
@@ -108,16 +108,16 @@ class Controller(ABC):
 
 
 class JointController(Controller):
-    """Takes one number for each joint."""
+    """A controller with one number for each joint."""
 
     kernel: Callable[..., None]
     """Commands the motors of all arms before a physics step."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
-        """Take over the arms where they are; every number is 0."""
+        """Take over the arms where they are; every command is 0."""
         super().__init__(arms, step)
         self.wanted = np.zeros((len(arms), 6))
-        # Bound once: to collect the arguments takes as long as to pass them.
+        # Bind arguments once: collecting them takes as long as the call.
         self._drive = partial(self.kernel, *self.shared, self.wanted)
 
     def command(self, rows: FloatArray) -> None:
@@ -131,27 +131,27 @@ class JointController(Controller):
 
 
 class PositionController(JointController):
-    """Leads the joints to angles, along a trapezoid of speed each."""
+    """Moves joints to target angles with trapezoidal velocity profiles."""
 
     kernel = staticmethod(drive_positions)
 
 
 class VelocityController(JointController):
-    """Turns the joints at given speeds; they stop at the ends of their range.
+    """Moves joints at given velocities; they stop at their position limits.
 
-    Angles of the references are the measured.
+    The reference angles are the measured ones.
     """
 
     kernel = staticmethod(drive_velocities)
 
 
 class TorqueController(JointController):
-    """Passes torques on, on top of gravity compensation, unless a joint is too fast."""
+    """Adds torques to gravity compensation, reduced where a joint would be too fast."""
 
     kernel = staticmethod(drive_torques)
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
-        """Exert nothing."""
+        """Take over the arms where they are; every torque is 0."""
         super().__init__(arms, step)
         data, count = self.scene.data, self.scene.model.nv
         self._efforts = np.array([arm.robot.arm.effort_limits for arm in arms])
@@ -160,17 +160,17 @@ class TorqueController(JointController):
         self._drive = partial(self._drive, self.qvel, self._inertia, *forces)
 
     def command(self, rows: FloatArray) -> None:
-        """Exert joint torques [N m]."""
+        """Set joint torques [N m]."""
         super().command(rows)
         np.clip(self.wanted, -self._efforts, self._efforts, out=self.wanted)
 
     def drive(self) -> None:
-        """Command what the joints' speeds allow."""
+        """Command the torques that the joints' velocity limits allow."""
         self._update_dynamics()
         self._drive()
 
     def _update_dynamics(self) -> None:
-        """Compute inertias and bias forces of the present state."""
+        """Compute the inertia matrix and bias forces of the present state."""
         model, data = self.scene.model, self.scene.data
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

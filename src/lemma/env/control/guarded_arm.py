@@ -1,11 +1,11 @@
-"""An arm as the compiled side of a controller sees it: one flat record.
+"""One flat record per arm, for the compiled kernels of controllers.
 
-Records of all arms enter Numba as a single pointer, which makes a call cheap: there is
-one before every physics step and one in every servo tick.
+The records of all arms enter Numba as a single pointer, so calls are cheap: one runs
+before every physics step and one in every servo tick.
 
-Kernels here bound from above, cheaply, how fast parts of an arm approach anything. Two
-capsules are no nearer than balls around them, and no point of a rigid part is faster
-than the faster of its ends.
+The kernels compute cheap upper bounds of how fast parts of an arm approach other
+things. The distance of two capsules is at least that of their bounding spheres, and no
+point of a rigid part is faster than the faster of its two ends.
 """
 
 import math
@@ -29,27 +29,27 @@ from lemma.robots.gripper import (
 from lemma.robots.ur.arms import ArmSpec
 
 SPEED_FRACTION = 0.95
-"""Share of a joint's velocity limit that references keep to."""
+"""Fraction of a joint's velocity limit that bounds the references."""
 CAPSULES = 10
 """Capsules of one arm, see :class:`~lemma.robots.collision_model.Envelope`."""
 CORNERS = 8
 """Number of corners of the fingers, wide open, and of the palm."""
 INNER = (0, 1, 2, 4)
-"""Parts, from the base on, that outer parts of the same arm may come near."""
+"""Parts near the base that are checked against outer parts of the same arm."""
 SELF_MARGIN_M = 0.007
-"""How much thicker the housings are than the capsules that stand for them."""
+"""How much wider the housings are than the capsules that model them."""
 ROW = 12
-"""Numbers of a capsule in the world: both ends and the radius; the range in which an
-obstacle is felt, or the height of an object's top; and middle and radius of a ball
-around it, see :func:`enclose` [m]."""
+"""Length of a capsule's row, in the world: both ends and the radius; the range of
+influence of an obstacle, or the height of an object's top; and center and radius of a
+bounding sphere, see :func:`enclose` [m]."""
 CLEARANCE_M = 0.003
-"""Distance that is kept; fingertips grasp a stick 6 mm above the table."""
+"""Minimum distance; fingertips grasp a stick 6 mm above the table."""
 DECELERATION_M_S2 = 2.0
-"""How hard an approach can be braked by any arm in any posture."""
+"""Deceleration of an approach that any arm can reach in any posture."""
 RANGE_M = 0.8
-"""Things further apart than this never matter."""
+"""Pairs that are further apart than this are ignored."""
 ROUNDING = 1e-9
-"""More than any rounding error here, in any unit."""
+"""Upper bound of the rounding errors in this module, in any unit."""
 _PARTS = CAPSULES + CORNERS
 
 ARM = np.dtype(
@@ -75,18 +75,19 @@ ARM = np.dtype(
         # How many objects are beside the hand and in it.
         ("beside", np.int64),
         ("inside", np.int64),
-        # Poses of its links, and how they move: angular velocity, and velocity of
-        # what is at the origin of the world.
+        # Poses of its links, and their twists: angular velocity, and linear velocity at
+        # the origin of the world.
         ("placed", np.float64, (7, 4, 4)),
         ("twists", np.float64, (7, 6)),
-        # Its parts in the world; their ends and the twists of their links again, one
-        # part a column.
+        # Its parts in the world; then their ends and the twists of their links,
+        # transposed: one column per part.
         ("world", np.float64, (_PARTS, 12)),
         ("ends", np.float64, (6, _PARTS)),
         ("part_twists", np.float64, (6, _PARTS)),
-        # Gaps at which parts can still stop, seen from the table.
+        # Distance from the table within which each part can still stop.
         ("gaps", np.float64, _PARTS),
-        # Inner parts that an outer part may come too fast near: sums of 2 ** number.
+        # For each outer part, a bit mask of the inner parts that it may approach too
+        # fast.
         ("own", np.float64, _PARTS),
     ]
 )
@@ -112,7 +113,7 @@ def arm_records(arms: Sequence[ArmMotion]) -> NDArray[np.void]:
 
 
 def _parts(spec: ArmSpec) -> FloatArray:
-    """Return capsules and corners: ends, radius, link and lever, (n, 9)."""
+    """Return capsules and corners: ends, radius, link and lever arm, (n, 9)."""
     envelope = envelope_of(spec.name)
     rows = np.zeros((_PARTS, 9))
     rows[:CAPSULES, :7] = envelope.capsules
@@ -150,7 +151,7 @@ def _corners() -> list[tuple[float, float, float]]:
 
 @kernel
 def place_and_move(arm: np.record, rates: FloatArray) -> None:
-    """Write parts in the world with balls around them, and how links move."""
+    """Write parts in the world with their bounding spheres, and the twists of links."""
     place_capsules(arm.placed, arm.parts[:, 7], arm.parts, arm.world)
     twists = arm.twists
     twists[0] = 0.0
@@ -174,7 +175,7 @@ def place_and_move(arm: np.record, rates: FloatArray) -> None:
 
 @kernel
 def enclose(row: FloatArray) -> None:
-    """Write the ball around a capsule to its row; see :data:`ROW`."""
+    """Write the bounding sphere of a capsule to its row; see :data:`ROW`."""
     length = 0.0
     for k in range(3):
         row[8 + k] = 0.5 * (row[k] + row[3 + k])
@@ -184,14 +185,13 @@ def enclose(row: FloatArray) -> None:
 
 @kernel
 def measure_gaps(arm: np.record, expected: float) -> None:
-    """Write the gaps from which on parts can be stopped in time, to ``arm.gaps``.
+    """Write the stopping distance of each part to ``arm.gaps``.
 
-    A part and what it approaches come nearer no faster than the part moves, if joint
-    speeds change by no more than a norm of ``expected`` [rad/s]; see
-    :data:`DECELERATION_M_S2`.
+    The distances hold while joint speeds change by a norm of at most ``expected``
+    [rad/s]. Parts brake at :data:`DECELERATION_M_S2`.
     """
     ends, twists, levers, gaps = arm.ends, arm.part_twists, arm.levers, arm.gaps
-    # Column by column, so that the compiler takes several parts at once.
+    # Loop over columns, so that the compiler can vectorize over parts.
     for i in range(gaps.shape[0]):
         wx, wy, wz = twists[0, i], twists[1, i], twists[2, i]
         tx, ty, tz = twists[3, i], twists[4, i], twists[5, i]
@@ -203,7 +203,7 @@ def measure_gaps(arm: np.record, expected: float) -> None:
         vx, vy = tx + wy * z - wz * y, ty + wz * x - wx * z
         vz = tz + wx * y - wy * x
         second = vx * vx + vy * vy + vz * vz
-        # Between the ends of a rigid body nothing is faster than at both.
+        # No point between the ends of a rigid body is faster than both ends.
         fastest = math.sqrt(first if first > second else second)
         pace = fastest + levers[i] * expected
         gap = pace * pace / (2.0 * DECELERATION_M_S2) + CLEARANCE_M
@@ -212,11 +212,11 @@ def measure_gaps(arm: np.record, expected: float) -> None:
 
 @kernel
 def find_own(arm: np.record, expected: float) -> None:
-    """Write to ``arm.own`` which parts of the arm may come too fast near which others.
+    """Write the pairs of parts of the arm that may approach too fast to ``arm.own``.
 
-    This is the whole computation of a constraint, :func:`.segment_points` included, but
-    without branches: the compiler takes several parts at once, and most are not too
-    fast. The bounds are wider than rounding errors are.
+    This is the full computation of a constraint, including :func:`.segment_points`, but
+    without branches, so that the compiler can vectorize it. Most pairs are not too
+    fast. The tolerances exceed the rounding errors.
 
     Args:
         arm: The arm, its parts placed and moving.
@@ -232,7 +232,7 @@ def find_own(arm: np.record, expected: float) -> None:
         bx, by, bz = ends[3, inner] - px, ends[4, inner] - py, ends[5, inner] - pz
         bb, thick = bx * bx + by * by + bz * bz, radii[inner] + SELF_MARGIN_M
         point = bb <= 1e-12
-        # Sixteen parts: four times as many as the compiler takes at once.
+        # Sixteen parts: four times the vector width.
         for k in range(own.shape[0] - 2):
             i = k + 2
             qx, qy, qz = ends[0, i], ends[1, i], ends[2, i]
@@ -270,13 +270,13 @@ def find_own(arm: np.record, expected: float) -> None:
 
 @kernel
 def is_clear(a: FloatArray, i: int, b: FloatArray, j: int, gap: float) -> bool:
-    """Whether two capsules are certainly further apart than a gap.
+    """Return True if two capsules are certainly further apart than a gap.
 
     Args:
         a: Capsules, (n, 12); see :data:`ROW`.
-        i: A row of them. Views of rows would take longer than the comparison.
-        b: Others.
-        j: A row of those.
+        i: Row in ``a``. Views of rows would take longer than the comparison.
+        b: Other capsules, (m, 12).
+        j: Row in ``b``.
         gap: Distance of the surfaces [m].
     """
     x, y, z = a[i, 8] - b[j, 8], a[i, 9] - b[j, 9], a[i, 10] - b[j, 10]

@@ -1,11 +1,11 @@
-"""Key poses: where a gripper shall be next, and the waypoints that lead there.
+"""Key poses of the gripper, and the waypoints between them.
 
-A key pose is where a hand changes something: it closes, opens or pushes. All between
-two of them is the same every time: the hand comes from above, goes straight down,
-opens or closes, rises, and the arm returns to where it waits, so that cameras see the
-table. One arm moves at a time; the others stay where they are led.
+A key pose is a pose at which a hand closes, opens or pushes. The motion between two key
+poses is always the same: the hand approaches from above, goes straight down, opens or
+closes, rises, and the arm returns to its waiting posture, out of the cameras' view. One
+arm moves at a time; the others hold their pose.
 
-Waypoints are those of the control mode ``ee_waypoint``.
+Waypoints are actions of the control mode ``ee_waypoint``.
 """
 
 import math
@@ -35,10 +35,10 @@ Rows = NDArray[np.float32]
 """Actions, (steps, robots, 8): position [m] and quaternion wxyz in the frame of each
 robot's base, and opening of the gripper [m]."""
 Stand = tuple[float, float, float, float]
-"""Where a gripper that points down stands: x, y, z [m] and yaw [rad], in the world."""
+"""Pose of a gripper that points down: x, y, z [m] and yaw [rad], in the world."""
 
 FULL_M = 0.012
-"""A hand that was closed and is at least so wide holds something [m]."""
+"""A hand that was closed and is open at least this far holds something [m]."""
 
 _FAST_M_S = 0.5
 _GENTLE_M_S = 0.12
@@ -55,31 +55,32 @@ _WITHDRAWAL_M = 0.03
 _ASIDE_M = 0.03
 _LAY_M = 0.0195
 _NEAR_M, _NEAR_RAD = 0.012, 0.06
-"""A waypoint that is reached freely is reached so exactly."""
+"""Tolerances for reaching a waypoint that is not approached in a straight line."""
 _LONGEST_S = 6.0
 _PATIENCE_S = 0.2
 _TURN_RAD_S = 1.4
-"""How fast an arm swings round, about."""
+"""Approximate speed of an arm that swings around its base."""
 
 
 class Kind(StrEnum):
-    """Kinds of key poses, by what the fingers do there."""
+    """Kinds of key poses, by the action of the hand."""
 
     STOP = "stop"
     """Nothing: the work is done."""
     OVER = "over"
     """The open hand stays there."""
     PICK = "pick"
-    """The hand closes, rises, and the arm carries what it holds to where it waits."""
+    """The hand closes and rises, and the arm returns to its waiting posture with the
+    object."""
     RAISE = "raise"
-    """The hand closes, rises and stays: what it holds is too long to be carried
-    about."""
+    """The hand closes, rises and stays, because its object is too long to be
+    carried."""
     TAKE = "take"
     """The hand closes and stays."""
     PUT = "put"
-    """The hand opens, rises, and the arm returns to where it waits."""
+    """The hand opens and rises, and the arm returns to its waiting posture."""
     POKE = "poke"
-    """The hand pushes the stick there along a straight line, draws it back, lays it
+    """The hand pushes the stick to the pose in a straight line, draws it back, lays it
     down and returns."""
     HOOK = "hook"
     """The same, with a hook that is pulled and then pushed off to the side."""
@@ -90,7 +91,7 @@ KINDS = tuple(Kind)
 
 @dataclass(frozen=True, slots=True)
 class KeyPose:
-    """Where a gripper that points down shall be next."""
+    """The next pose of a gripper that points down."""
 
     robot: int
     """Number of the robot that moves; -1 for none."""
@@ -100,11 +101,11 @@ class KeyPose:
     y: float
     z: float
     yaw: float
-    """Direction of the gripper's x axis, or of what it holds if that is long [rad]."""
+    """Direction of the gripper's x axis, or of a long object that it holds [rad]."""
 
     @property
     def stand(self) -> Stand:
-        """Where the gripper stands."""
+        """Pose of the gripper."""
         return (self.x, self.y, self.z, self.yaw)
 
 
@@ -118,34 +119,34 @@ class Leg:
     stand: Stand
     opening_m: float
     speed_m_s: float = 0.0
-    """Along a straight line; 0 for any way, as fast as the arm can."""
+    """Speed along a straight line; 0 for any path, at full speed."""
     wait_s: float = 0.0
     """Time to wait at its end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """How far the motion to a key pose has come; plain data."""
+    """State of the motion to a key pose; plain data."""
 
     rows: FloatArray
-    """Where each hand is led: stand and opening, (robots, 5)."""
+    """Target of each hand: pose and opening, (robots, 5)."""
     homes: FloatArray
-    """Where the arms wait, (robots, 5)."""
+    """Waiting poses of the arms, (robots, 5)."""
     robot: int = 0
     legs: tuple[Leg, ...] = ()
-    """Those that are left, in order."""
+    """Remaining legs, in order."""
     waited_s: float = -1.0
-    """Since the first leg was begun, -1 before."""
+    """Time since the first leg began; -1 before."""
     turned: bool = False
-    """Whether the hand is turned by half a turn from what its key pose said."""
+    """Whether the hand is half a turn away from the yaw of its key pose."""
 
     @classmethod
     def begin(cls, hands: Sequence[FloatArray], openings: FloatArray) -> "Progress":
-        """Return the beginning of an episode, in which all arms wait.
+        """Return the initial state of an episode, in which all arms wait.
 
         Args:
             hands: Poses of the tool centre points in the world, (4, 4) each.
-            openings: Of the grippers [m].
+            openings: Openings of the grippers [m].
         """
         rows = np.array(
             [[*_stand_of(h), o] for h, o in zip(hands, openings, strict=True)]
@@ -160,7 +161,7 @@ def set_out(progress: Progress, key: KeyPose, hand: FloatArray) -> Progress:
 
     Args:
         progress: The motions before it.
-        key: Where to go.
+        key: The key pose.
         hand: Present pose of that robot's tool centre point, (4, 4).
     """
     if key.kind is Kind.STOP:
@@ -180,7 +181,7 @@ def set_out(progress: Progress, key: KeyPose, hand: FloatArray) -> Progress:
 def go_on(
     progress: Progress, bases: Sequence[FloatArray], hands: Sequence[FloatArray]
 ) -> tuple[Progress, Rows | None]:
-    """Return the next waypoints, until the arm must be looked at again.
+    """Return the waypoints up to the next observation.
 
     Args:
         progress: The motion.
@@ -188,7 +189,7 @@ def go_on(
         hands: Present poses of the tool centre points in the world, (4, 4).
 
     Returns:
-        The motion after them, and the waypoints; None if it is over.
+        The motion after the waypoints, and the waypoints; None if the motion is over.
     """
     rows, chunk = progress.rows.copy(), []
     legs, waited_s, robot = list(progress.legs), progress.waited_s, progress.robot
@@ -256,7 +257,7 @@ def _seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
     found = np.eye(4)
     b, p = base.tolist(), pose.tolist()
     away = [p[k][3] - b[k][3] for k in range(3)]
-    # Number by number, so that no library's order of sums decides the last bit.
+    # Add term by term, so that the last bit does not depend on a library.
     for i in range(3):
         for j in range(3):
             found[i, j] = b[0][i] * p[0][j] + b[1][i] * p[1][j] + b[2][i] * p[2][j]
@@ -287,7 +288,7 @@ def _is_there(hand: FloatArray, stand: Stand) -> bool:
 
 
 def _estimate_s(hand: FloatArray, stand: Stand, base: FloatArray) -> float:
-    """Return how long an arm needs to a stand, about [s]."""
+    """Return the approximate time that an arm needs to reach a pose [s]."""
     here = _stand_of(hand)
     at = base[:2, 3]
     bearings = [math.atan2(p[1] - at[1], p[0] - at[0]) for p in (here, stand)]
@@ -302,13 +303,13 @@ def _raised(stand: Stand, z: float) -> Stand:
 
 
 def _legs(kind: Kind, at: Stand, hand: Stand, home: FloatArray) -> list[Leg]:
-    """Return the way to a key pose, and what follows there.
+    """Return the motion to a key pose, and the motion that follows there.
 
     Args:
-        kind: Its kind; not ``STOP``.
+        kind: Kind of the key pose; not ``STOP``.
         at: The key pose.
-        hand: Where the hand is.
-        home: Where the arm waits, (5,).
+        hand: Present pose of the hand.
+        home: Waiting pose of the arm, (5,).
     """
     if kind in (Kind.POKE, Kind.HOOK):
         return _drag(at, hand, home, poking=kind is Kind.POKE)
@@ -337,7 +338,7 @@ def _to(home: FloatArray, opening_m: float) -> Leg:
 
 
 def _leave(at: Stand, home: FloatArray) -> list[Leg]:
-    """Return how a hand lets go and the arm returns."""
+    """Return the legs in which the hand opens and the arm returns."""
     up = (*at[:2], at[2] + _RETREAT_M, at[3])
     return [
         Leg(at, FINGER_OPENING_M, _FAST_M_S, _FINGERS_S),
@@ -347,7 +348,7 @@ def _leave(at: Stand, home: FloatArray) -> list[Leg]:
 
 
 def _drag(at: Stand, hand: Stand, home: FloatArray, *, poking: bool) -> list[Leg]:
-    """Return how the stick pushes or pulls, gets off the cube and is laid down."""
+    """Return the legs of a push or pull with the stick, up to laying it down."""
     start: Stand = (*hand[:2], at[2], hand[3])
     t = min(1.0, _MEETING_M / max(1e-6, math.dist(start[:2], at[:2])))
     x, y = (a + t * (b - a) for a, b in zip(start[:2], at[:2], strict=True))

@@ -1,4 +1,4 @@
-"""Control modes: the meaning of an action's numbers, and the controller for them."""
+"""Control modes: the layout of an action, and its controller."""
 
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ from lemma.scene.build import ACTUATIONS
 
 @dataclass(frozen=True)
 class ControlMode:
-    """Meaning of the numbers of an action, and the controller that obeys them."""
+    """Layout of an action, and the controller that executes it."""
 
     summary: str
     """One line for people."""
@@ -48,11 +48,11 @@ class ControlMode:
     """Drives the arms."""
 
     def __post_init__(self) -> None:
-        """Check the way of driving the motors, and that each number has its bounds.
+        """Check the actuation, and that each column has bounds.
 
         Raises:
-            UnknownNameError: Motors cannot be driven so.
-            InvalidConfigError: A number has no bounds, or they do not ascend.
+            UnknownNameError: There is no such actuation.
+            InvalidConfigError: A column has no bounds, or its bounds are not ascending.
         """
         known("actuation", self.actuation, ACTUATIONS)
         count = len(self.columns)
@@ -66,12 +66,12 @@ class ControlMode:
             )
 
     def layout(self, robots: tuple[str, ...]) -> ActionLayout:
-        """Return the meaning of an action for some robots."""
+        """Return the action layout for some robots."""
         return ActionLayout(robots, self.columns, self.low, self.high)
 
 
 def _strongest(field: str) -> tuple[float, ...]:
-    """Return the largest value of a limit of every joint, over the arm types."""
+    """Return the largest limit of each joint over the arm types."""
     limits = [getattr(ARMS[name], field) for name in ARMS]
     return tuple(max(column) for column in zip(*limits, strict=True))
 
@@ -130,8 +130,8 @@ _JOINT_MODES = (
 """Name, controller, actuation, field of an arm that bounds the numbers, and summary."""
 
 CONTROLS: Registry[ControlMode] = Registry("control mode", ControlMode)
-"""The control modes by name. Bounds are those of the strongest arm type; a weaker arm
-does what it can."""
+"""The control modes by name. Bounds are those of the strongest arm type; the motions of
+weaker arms are limited further."""
 
 
 def _add_modes() -> None:

@@ -1,7 +1,7 @@
-"""Commands to the motors before a physics step, in one call for all arms.
+"""Kernels that compute motor commands for all arms before a physics step.
 
-A kernel for each control mode: it advances references, has the safety filter bound them
-and writes the commands. Each takes the records of n arms
+There is one kernel for each control mode. It advances references, applies the safety
+filter and writes the commands. Each takes the records of n arms
 (:data:`~lemma.env.control.guarded_arm.ARM`), their references (n, 2, 6), the openings
 of their grippers (n,) [m], obstacles and objects of the safety filter
 (:class:`~lemma.env.control.safety_filter.SafetyFilter`), positions and commands of the
@@ -21,7 +21,7 @@ from lemma.motion.rmpflow.policy import integrate, solve
 from lemma.scene.build import TIME_STEP_S
 
 ACCELERATION_RAD_S2 = 10.0
-"""Largest acceleration of a joint's reference: what a stretched arm can follow."""
+"""Largest acceleration of a joint's reference, which a stretched arm can follow."""
 
 _MOVING_RAD_S = 0.02
 _MOVING_M_S = 0.002
@@ -38,7 +38,7 @@ def drive_positions(  # noqa: PLR0913 - one call is what makes it fast
     control: FloatArray,
     targets: FloatArray,
 ) -> None:
-    """Lead joints to angles, (n, 6) [rad], along a trapezoid of speed each."""
+    """Move joints to angles, (n, 6) [rad], with trapezoidal velocity profiles."""
     states, targets = borrowed(states), borrowed(targets)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):
@@ -60,7 +60,7 @@ def drive_velocities(  # noqa: PLR0913
     control: FloatArray,
     wanted: FloatArray,
 ) -> None:
-    """Turn joints at speeds, (n, 6) [rad/s]; the angles are the measured."""
+    """Move joints at speeds, (n, 6) [rad/s]; reference angles are the measured ones."""
     states, wanted, qpos = borrowed(states), borrowed(wanted), borrowed(qpos)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):
@@ -84,7 +84,7 @@ def drive_poses(  # noqa: PLR0913
     workspaces: np.ndarray,
     spheres: FloatArray,
 ) -> None:
-    """Follow RMPflow, by its records (n,) and spheres (n, m, 6)."""
+    """Follow RMPflow, given its records (n,) and spheres (n, m, 6)."""
     states, spheres = borrowed(states), borrowed(spheres)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
     before, rates = np.empty(6), np.empty(6)
@@ -117,10 +117,10 @@ def drive_torques(  # noqa: PLR0913
     bias_forces: FloatArray,
     passive_forces: FloatArray,
 ) -> None:
-    """Exert torques, (n, 6) [N m], as far as the joints' speeds allow.
+    """Apply torques, (n, 6) [N m], as far as the joints' velocity limits allow.
 
-    The last four are the velocities of all joints, the inertia matrix of the scene, and
-    forces of its joints.
+    The last arguments are the velocities of all joints, the inertia matrix of the
+    scene, and its joint forces.
     """
     states, wanted = borrowed(states), borrowed(wanted)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
@@ -151,10 +151,11 @@ def _send_reference(
     qpos: FloatArray,
     control: FloatArray,
 ) -> None:
-    """Send a reference to position servos, led by their lag.
+    """Send a reference to position servos, with lead compensation for their lag.
 
-    They are kept from catching up faster than the joints may turn: a servo's torque is
-    zero where ``(control - q) / lag`` is the speed, so bounding that bounds the speed.
+    Commands are limited so that servos do not exceed the joints' velocity limits: a
+    servo's torque is zero where ``(control - q) / lag`` equals the speed, so bounding
+    this term bounds the speed.
     """
     for i in range(6):
         command = state[0, i] + arm.lag_s * state[1, i]
@@ -167,9 +168,9 @@ def _send_reference(
 def count_moving(
     records: np.ndarray, qvel: FloatArray, counts: NDArray[np.int64]
 ) -> None:
-    """Add 1 to the count, (n,), of each arm that moves.
+    """Increment the count, (n,), of each arm that moves.
 
-    One of its joints is faster than 0.02 rad/s or a finger than 2 mm/s.
+    An arm moves if a joint is faster than 0.02 rad/s or a finger is faster than 2 mm/s.
     """
     for k in range(records.shape[0]):
         start, moving = records[k].dof, False
@@ -186,7 +187,7 @@ def count_moving(
 def approach(state: FloatArray, target: FloatArray, speeds: FloatArray) -> None:
     """Advance the speeds of a reference, (2, 6), by one physics step.
 
-    They become the largest from which each joint can still stop at its target.
+    They become the largest speeds from which each joint can still stop at its target.
     """
     h, a = TIME_STEP_S, ACCELERATION_RAD_S2
     for i in range(6):
@@ -228,7 +229,7 @@ def accelerate(
 def bound(
     q: FloatArray, rates: FloatArray, speeds: FloatArray, limits: FloatArray
 ) -> bool:
-    """Bound joint speeds, (6,), in place; return whether that was needed.
+    """Bound joint speeds, (6,), in place; return whether any changed.
 
     A joint slows down so that it stops before the end of its range.
     """
@@ -251,14 +252,14 @@ def predict(
     rates: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write the joint speeds, (6,), that torques lead to in a physics step to ``out``.
+    """Write the joint speeds, (6,), that torques cause after a physics step to ``out``.
 
     Args:
         inertia: (6, 6) [kg m2].
-        bias: Torques that keep the joints from accelerating, (6,) [N m].
+        bias: Torques for zero joint acceleration, (6,) [N m].
         torques: (6,) [N m].
         rates: Joint speeds now, (6,) [rad/s].
-        out: Written.
+        out: Receives the result, (6,) [rad/s].
     """
     solve(inertia.copy(), torques - bias, out)
     for i in range(6):
@@ -273,7 +274,7 @@ def steer(
     efforts: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write the torques, (6,), that change the joint speeds within a physics step.
+    """Write the torques, (6,), that reach given joint speeds within a physics step.
 
     If a motor is too weak, all joints change less, in proportion.
     """

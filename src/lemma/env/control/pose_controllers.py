@@ -1,4 +1,4 @@
-"""Arms that are led by poses of their tool centre points, absolute or step by step."""
+"""Controllers for absolute poses of the tool centre points, and for pose deltas."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -26,31 +26,31 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
 CEILING_M = 1.5
-"""Highest position of the tool centre point that can be asked for."""
+"""Largest height of the tool centre point that an action can command [m]."""
 LOWEST_M = (-TABLE_HALF_X_M, -TABLE_HALF_Y_M, 0.0)
 HIGHEST_M = (TABLE_HALF_X_M, TABLE_HALF_Y_M, CEILING_M)
-"""Corners of the box in which a tool centre point can be asked for."""
+"""Corners of the box of tool centre points that an action can command [m]."""
 LOWEST_FROM_BASE_M = (-CEILING_M, -CEILING_M, 0.0)
 HIGHEST_FROM_BASE_M = (CEILING_M, CEILING_M, CEILING_M)
 """The same, in the frame of a robot's base, which stands on the table."""
 LEASH_STEPS = 2.0
-"""How far a target that is moved step by step can be ahead of the arm, in steps."""
+"""How far a target of delta actions can be ahead of the arm, in steps."""
 SWING_RAD = 0.25
-"""An arm whose base has further to turn than this swings round first."""
+"""An arm whose base joint has to turn further than this swings around first."""
 
 _LEAST_NORM = 1e-3
 
 
 @dataclass(frozen=True)
 class Rotation:
-    """A way to write a rotation."""
+    """A representation of rotations."""
 
     columns: tuple[str, ...]
     """Names of its numbers."""
     limit: float
     """Largest absolute value of each."""
     quaternion: Callable[[Sequence[float]], Quaternion | None]
-    """Returns the quaternion ``wxyz``, or None if there is no such rotation."""
+    """Returns the quaternion ``wxyz``, or None if the numbers are no rotation."""
     hint: str = ""
     """Advice for a user whose numbers are no rotation."""
 
@@ -80,10 +80,10 @@ ROT6D = Rotation(
 
 
 class PoseController(Controller):
-    """Goes to poses of the tool centre points under RMPflow."""
+    """Moves the tool centre points to poses with RMPflow."""
 
     rotation = QUATERNION
-    """How rotations are written, after the position."""
+    """Representation of rotations, after the position."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are."""
@@ -94,7 +94,7 @@ class PoseController(Controller):
         self._parks = np.stack([arm.park for arm in arms])
         self._rows = np.empty((len(arms), 8))
         for k, space in enumerate(spaces):
-            # The same memory, again.
+            # Share memory.
             space.record = self._workspaces[k : k + 1]
         self._drive = partial(
             drive_poses, *self.shared, self._workspaces, self._spheres
@@ -114,7 +114,7 @@ class PoseController(Controller):
                 )
 
     def command(self, rows: FloatArray) -> None:
-        """Aim at poses in the world."""
+        """Set target poses in the world."""
         super().command(rows)
         for k in range(len(rows)):
             self._write_target(k, rows[k])
@@ -124,13 +124,13 @@ class PoseController(Controller):
         )
 
     def _write_target(self, k: int, row: FloatArray) -> None:
-        """Write the position [m] and quaternion that a row means for arm ``k``."""
+        """Convert a row to the target position [m] and quaternion of arm ``k``."""
         self._rows[k, :3] = row[:3]
         self._rows[k, 3:7] = self._quaternion(row)
 
     def _quaternion(self, row: FloatArray) -> Sequence[float]:
         found = self.rotation.quaternion(row[3:-1].tolist())
-        # As check() has made sure.
+        # check() has made sure of this.
         assert found is not None
         return found
 
@@ -152,16 +152,16 @@ class Rot6dPoseController(PoseController):
 
 
 class WaypointController(PoseController):
-    """Goes to poses as the expert goes to its waypoints; in frames of the bases.
+    """Moves to poses in the frames of the bases, like the expert to its waypoints.
 
-    An arm whose base has far to turn does that first, in joint space, and then goes
-    straight: a straight line alone may pass over the arm's own base, where the arm
-    would have to fold, or the arm stops before it.
+    An arm whose base joint has far to turn first swings around in joint space, and then
+    moves straight: a straight line alone may pass over the arm's own base, where the
+    arm would have to fold or would stop.
     """
 
     def _write_target(self, k: int, row: FloatArray) -> None:
         base = self.arms[k].robot.world_from_base
-        # Number by number, so that no library's order of sums decides the last bit.
+        # Add term by term, so that the last bit does not depend on a library.
         a, b, c = row[:3].tolist()
         for i, (p, q, r, origin) in enumerate(base[:3].tolist()):
             self._rows[k, i] = p * a + q * b + r * c + origin
@@ -170,7 +170,7 @@ class WaypointController(PoseController):
         self._rows[k, 3:7] = turn
 
     def look(self) -> None:
-        """Look around, and choose how to go on, once per servo tick."""
+        """Update obstacles and choose swing or straight motion, once per servo tick."""
         super().look()
         swing_far(self.states, self._workspaces)
 
@@ -182,18 +182,18 @@ class Rot6dWaypointController(WaypointController):
 
 
 class DeltaPoseController(PoseController):
-    """Moves the targets of the tool centre points step by step.
+    """Moves the targets of the tool centre points by deltas.
 
-    Numbers are in [-1, 1]. A step starts from the last target, or from where the arm
-    is if it has none. Targets stay in the box of :data:`LOWEST_M` and
-    :data:`HIGHEST_M`, and no more than :data:`LEASH_STEPS` steps ahead of the arm, so
-    that what it could not follow is not made up for later.
+    Actions are in [-1, 1]. A delta starts from the last target, or from the arm's pose
+    if it has none. Targets stay in the box of :data:`LOWEST_M` and :data:`HIGHEST_M`,
+    and no more than :data:`LEASH_STEPS` steps ahead of the arm, so that an arm that
+    falls behind does not catch up later.
     """
 
     rotation = AXIS_ANGLE
 
     def command(self, rows: FloatArray) -> None:
-        """Aim at what the steps lead to."""
+        """Move the targets by one step."""
         absolute = rows.copy()
         absolute[:, -1] = (0.5 + 0.5 * rows[:, -1]) * FINGER_OPENING_M
         super().command(absolute)
@@ -235,7 +235,7 @@ class DeltaPoseController(PoseController):
 
 
 class DeltaRot6dPoseController(DeltaPoseController):
-    """The same, with rotations as six numbers, shortened to what a step may be."""
+    """The same, with rotations as six numbers, limited to the largest step."""
 
     rotation = ROT6D
 
@@ -245,7 +245,7 @@ class DeltaRot6dPoseController(DeltaPoseController):
 
 
 def _shortened(rotation: Quaternion, most_rad: float) -> Quaternion:
-    """Return a rotation about the same axis by no more than an angle."""
+    """Return a rotation about the same axis, limited to an angle."""
     vector = axis_angle_from_quaternion(rotation)
     angle = math.hypot(*vector)
     if angle <= most_rad:
@@ -261,14 +261,14 @@ def aim_arms(
     rows: FloatArray,
     workspaces: np.ndarray,
 ) -> None:
-    """Choose postures for poses, and give both to RMPflow.
+    """Choose joint postures for target poses, and pass both to RMPflow.
 
     Args:
         records: Records of n arms; see :data:`~lemma.env.control.guarded_arm.ARM`.
         states: Their references, (n, 2, 6) [rad, rad/s].
-        parks: Where they wait, (n, 6) [rad].
-        rows: Positions and quaternions wxyz of any length but 0 that the tool centre
-            points shall have in the world, (n, 8) [m]; the last number does not matter.
+        parks: Their waiting postures, (n, 6) [rad].
+        rows: Target positions [m] and quaternions wxyz of any nonzero norm of the tool
+            centre points in the world, (n, 8); the last column is ignored.
         workspaces: The records of RMPflow, (n,); their goals are written.
     """
     pose, unit = np.eye(4), np.empty(7)
@@ -304,7 +304,7 @@ def aim_arms(
 
 @kernel
 def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
-    """Lead arms whose base has far to turn through joint space, others straight.
+    """Select joint-space motion for arms whose base has far to turn, else straight.
 
     Args:
         states: The references of n arms, (n, 2, 6) [rad, rad/s].

@@ -1,9 +1,9 @@
-"""Rotations as learned policies write them: axis and angle, or six numbers.
+"""Conversions between quaternions, axis-angle vectors and six-number rotations.
 
 An axis-angle vector points along the axis, and its length is the angle [rad]. Six
 numbers (*rot6d*; Zhou et al., "On the Continuity of Rotation Representations in Neural
 Networks", 2019) are the first column of the rotation matrix, then the second; any two
-vectors that are not parallel are made a rotation by the method of Gram and Schmidt.
+vectors that are not parallel give a rotation by Gram-Schmidt orthogonalization.
 
 Scalars go through :mod:`math`, as in :mod:`lemma.core.poses`.
 """
@@ -58,7 +58,7 @@ def quaternion_from_rot6d(six: Sequence[float]) -> Quaternion | None:
     along = ordered_sum(u * v for u, v in zip(first, b, strict=True))
     across = [v - along * u for u, v in zip(first, b, strict=True)]
     width = math.hypot(*across)
-    # As a fraction, so that the same pair of directions is the same rotation.
+    # Relative to the norm, so that the result depends on the directions alone.
     if width < _LEAST_NORM * max(1.0, math.hypot(*b)):
         return None
     (x1, y1, z1), (x2, y2, z2) = first, [v / width for v in across]

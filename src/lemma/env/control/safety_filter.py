@@ -1,7 +1,7 @@
-"""Keeps arms that are commanded joint by joint from running into things.
+"""Prevents collisions of arms that are commanded joint by joint.
 
-A hand that is rammed into the table throws the wrist's joints far beyond their limits.
-:mod:`lemma.env.control.velocity_dampers` says how that is prevented.
+A hand that hits the table at speed would drive the wrist joints far beyond their
+limits. The method is in :mod:`lemma.env.control.velocity_dampers`.
 
 The filter covers the table, the arm itself and the other arms. A hand may touch
 objects, but gently; the rest of an arm may not touch them.
@@ -26,10 +26,10 @@ from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
 
 ARM_RANGE_M = 0.15
-"""From where on RMPflow feels the other arms, as in skills."""
+"""Distance within which RMPflow avoids the other arms, as in skills."""
 
-# An object is held if it is nearer to the tool centre point than the first, and its
-# width differs from the opening of the fingers by less than the second.
+# An object is held if its distance to the tool centre point is below the first limit,
+# and its width differs from the opening of the fingers by less than the second.
 _HELD_M = 0.03
 _GRIPPED_M = 0.006
 
@@ -38,13 +38,13 @@ class SafetyFilter:
     """Obstacles of the arms of a scene, for the kernels that drive them."""
 
     def __init__(self, arms: Sequence[ArmMotion]) -> None:
-        """Begin to watch.
+        """Prepare the records of arms and objects.
 
         Args:
             arms: All arms of a scene.
         """
         self.records: NDArray[np.void] = arm_records(arms)
-        """One for each arm; see :data:`~lemma.env.control.guarded_arm.ARM`."""
+        """One record for each arm; see :data:`~lemma.env.control.guarded_arm.ARM`."""
         count = len(arms)
         self.obstacles = np.zeros((count, CAPSULES * (count - 1), ROW))
         """For each arm the capsules of the others, see
@@ -53,8 +53,8 @@ class SafetyFilter:
         scene = arms[0].scene
         owners, capsules = _shells(scene)
         self.objects = np.zeros((count, 2, len(capsules), ROW))
-        """For each arm capsules of objects: first of those beside its hand, then of
-        those in it; the arm's record says how many."""
+        """For each arm, capsules of objects: first of those outside its hand, then of
+        those in it. The arm's record has the counts."""
         self.look = partial(
             _look,
             *(self.records, owners, capsules, scene.data.qpos),
@@ -71,7 +71,7 @@ def keep_clear(
     q: FloatArray,
     rates: FloatArray,
 ) -> bool:
-    """Change joint speeds as little as it takes to keep clear.
+    """Change joint speeds as little as needed to avoid collisions.
 
     Args:
         arm: The arm; see :data:`~lemma.env.control.guarded_arm.ARM`.
@@ -81,7 +81,7 @@ def keep_clear(
         rates: Joint speeds, (6,) [rad/s]; changed in place.
 
     Returns:
-        Whether anything had to be changed.
+        Whether any speed changed.
     """
     frames(arm.dh, arm.world_from_base, q, arm.placed)
     beside, inside = objects[0, : arm.beside], objects[1, : arm.inside]
@@ -89,13 +89,13 @@ def keep_clear(
 
 
 def _shells(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Return objects and the capsules around them.
+    """Return the objects and their enclosing capsules.
 
     Returns:
-        For each object the address in ``qpos`` or -1, its pose if that never changes,
-        how wide it is gripped (or nan), and how high its top is above the higher end of
-        its first capsule's axis, (n, 10); and capsules in objects' frames with the
-        number of the object, (m, 8) [m].
+        For each object the address in ``qpos`` or -1, its pose if it is fixed, its
+        width in a grip (or NaN), and the height of its top above the higher end of its
+        first capsule's axis, (n, 10); and capsules in objects' frames with the index of
+        the object, (m, 8) [m].
     """
     owners: list[list[float]] = []
     capsules: list[list[float]] = []
@@ -153,7 +153,7 @@ def _look_for_objects(
     qpos: FloatArray,
     objects: FloatArray,
 ) -> None:
-    """Write the objects beside the hand and those in it."""
+    """Write the objects outside the hand and those in it."""
     tcp = np.zeros(7)
     for i in range(3):
         tcp[i] = arm.placed[6, i, 3] + TCP_OFFSET_M * arm.placed[6, i, 2]

@@ -1,13 +1,14 @@
-"""Velocity dampers: the nearer two things come, the slower they may approach.
+"""Velocity dampers, which limit approach speed by distance.
 
-At every distance they can still stop in time (Faverjon and Tournassoud, 1987). A
-command becomes a nearby motion that obeys; sliding along the table stays possible.
-Plain loops, compiled: the same numbers on every machine.
+At every distance, two bodies can still stop in time (Faverjon and Tournassoud, 1987). A
+command is projected onto the allowed motions, so sliding along the table stays
+possible. The code is plain compiled loops, which give the same numbers on every
+machine.
 
-Few of the hundreds of pairs are near and fast enough to matter. The others are left out
+Few of the hundreds of pairs are near and fast enough to matter. The others are skipped
 by bounds that hold while joint speeds change by no more than :data:`EXPECTED_RAD_S`. If
-they change by more, everything is computed again without leaving any pair out. The
-result is therefore the same to the bit as if no pair were ever left out.
+they change by more, all pairs are computed. The result is therefore bit-identical to
+one without skipping.
 """
 
 import math
@@ -34,7 +35,7 @@ from lemma.robots.collision_model import SELF_PAIRS, Triple, closest_points
 from lemma.robots.gripper import TCP_OFFSET_M
 
 EXPECTED_RAD_S = 0.15
-"""Norm of a change of joint speeds up to which the bounds hold."""
+"""Change of joint speeds (norm) up to which the bounds hold."""
 
 _SLACK_M_S = 0.005
 _SWEEPS = 12
@@ -42,12 +43,12 @@ _FIRST_ABOVE_TABLE = 2
 _LAST_ABOVE_TABLE = 7
 _FIRST_OF_HAND = 7
 _HAND = 6
-"""The link."""
+"""Index of the hand's link."""
 _TOUCH_M_S = 0.25
-"""How fast a hand may touch an object, and put one down."""
+"""Speed limit of a hand that touches an object or puts one down."""
 _IN_HAND_M = 0.10
 """An object nearer to the tool centre point than this is being handled."""
-# Parts of an arm that may come near each other.
+# Pairs of parts of one arm that can collide.
 _OWN_PAIRS = np.concatenate(
     [
         SELF_PAIRS,
@@ -59,16 +60,16 @@ _OWN_PAIRS = np.concatenate(
     ]
 )
 _ANY_RAD_S = 1e6
-"""A change of joint speeds for which nothing is left out."""
+"""A change of joint speeds for which no pair is skipped."""
 
 
 @kernel
 def most_rows(arms: int, objects: int) -> int:
-    """Return how many constraints there can be.
+    """Return the largest possible number of constraints.
 
     Args:
         arms: Capsules of the other arms.
-        objects: Capsules of objects, in the hand or not.
+        objects: Capsules of all objects.
     """
     table = 2 * (_LAST_ABOVE_TABLE - _FIRST_ABOVE_TABLE + 1) + CORNERS
     each = CORNERS + _FIRST_OF_HAND - _FIRST_ABOVE_TABLE
@@ -84,7 +85,7 @@ def restrain(
     held: FloatArray,
     rates: FloatArray,
 ) -> bool:
-    """Change joint speeds as little as it takes to keep clear, in place.
+    """Change joint speeds in place, as little as needed to avoid collisions.
 
     Args:
         arm: The arm, links placed; see :data:`~lemma.env.control.guarded_arm.ARM`.
@@ -95,7 +96,7 @@ def restrain(
         rates: Joint speeds, (6,) [rad/s].
 
     Returns:
-        Whether anything had to be changed.
+        Whether any speed changed.
 
     Raises:
         CapacityError: There are more constraints than :func:`most_rows` says.
@@ -111,7 +112,7 @@ def restrain(
         changed, most_changed = _project(rows, count, rates, arm.speeds)
         if most_changed <= expected:
             break
-    # Numba frees what it does not see in use any more: the rows are borrowed.
+    # Keep `memory` alive: Numba frees it when unused, and the rows are views of it.
     return changed and memory.size > 0
 
 
@@ -124,7 +125,7 @@ def _constrain(
     expected: float,
     rows: FloatArray,
 ) -> int:
-    """Write all constraints that can matter; return how many."""
+    """Write all constraints that can be active; return their number."""
     measure_gaps(arm, expected)
     find_own(arm, expected)
     count = _add_table_rows(arm, expected, rows)
@@ -158,7 +159,7 @@ def _add_hand_rows(
     rows: FloatArray,
     count: int,
 ) -> int:
-    """Let the hand touch objects gently, and put down gently what it holds."""
+    """Limit the speed at which the hand touches objects or puts one down."""
     for k in range(CAPSULES, CAPSULES + CORNERS):
         safe, corner = arm.gaps[k], arm.world[k]
         x, y, z = corner[0], corner[1], corner[2]
@@ -175,7 +176,7 @@ def _add_hand_rows(
         for end in range(2):
             x, y, z = thing[3 * end], thing[3 * end + 1], thing[3 * end + 2]
             found = z - below, (x, y, z), (x, y, z - 1.0)
-            # It is no part of the arm, so nothing bounds how joints move it.
+            # A held object has no known lever arm, so never skip its constraint.
             count = _add_row(
                 arm, (0, CAPSULES), found, _TOUCH_M_S, _ANY_RAD_S, rows, count
             )
@@ -186,7 +187,7 @@ def _add_hand_rows(
 def _add_self_rows(
     arm: np.record, expected: float, rows: FloatArray, count: int
 ) -> int:
-    """Keep the arm clear of itself."""
+    """Keep the parts of the arm apart."""
     for k in range(_OWN_PAIRS.shape[0]):
         outer, inner = _OWN_PAIRS[k, 0], _OWN_PAIRS[k, 1]
         if int(arm.own[outer]) >> inner & 1:
@@ -207,7 +208,7 @@ def _add_arm_rows(
 ) -> int:
     """Keep the arm clear of the others."""
     for i in range(1, CAPSULES):
-        # Both may move: each may use half of the distance.
+        # Both arms may move, so each may use half of the distance.
         safe = 2.0 * arm.gaps[i]
         for j in range(obstacles.shape[0]):
             if not is_clear(arm.world, i, obstacles, j, safe):
@@ -249,15 +250,15 @@ def _add_row(
     rows: FloatArray,
     count: int,
 ) -> int:
-    """Add how joints bring a point of the arm nearer to another, and how fast they may.
+    """Add the constraint on the approach of a point of the arm to another point.
 
     Args:
         arm: The arm.
-        bodies: A link, and a part beyond it: joints between change the distance.
-        found: Gap between the surfaces, point of the arm, and the point that it
-            approaches [m].
+        bodies: A link, and a part beyond it; the joints between them change the
+        distance.
+        found: Gap between the surfaces, point of the arm, and the approached point [m].
         least: Approach that is always allowed [m/s].
-        expected: Change of joint speeds that is expected [rad/s].
+        expected: Bound of the change of joint speeds [rad/s].
         rows: (n, 7): approach per joint speed [m], largest approach [m/s].
         count: Rows so far.
 
@@ -306,7 +307,7 @@ def _write_row(
     rows: FloatArray,
     r: int,
 ) -> None:
-    """Write to a row how joint speeds move a point of a link in a direction [m]."""
+    """Write the Jacobian row of a point of a link along a direction [m]."""
     dx, dy, dz = direction
     for j in range(6):
         rows[r, j] = 0.0
@@ -324,7 +325,7 @@ def _write_row(
 def _project(
     rows: FloatArray, count: int, rates: FloatArray, limits: FloatArray
 ) -> tuple[bool, float]:
-    """Project joint speeds onto what each of the first rows allows.
+    """Project joint speeds onto the constraints of the first rows, one by one.
 
     Returns:
         Whether they changed, and the norm of the largest change on the way [rad/s].

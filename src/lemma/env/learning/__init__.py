@@ -1,1 +1,1 @@
-"""Views of environments for learners: flat ones, and PettingZoo."""
+"""Interfaces of environments for learners: flat arrays, and PettingZoo."""

@@ -1,4 +1,4 @@
-"""A control-level environment as harnesses take it: arrays by name, and one vector."""
+"""Control-level environments with flat observations and one action vector."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,22 +27,21 @@ class FlatView(
     gymnasium.Wrapper[dict[str, NDArray[Any]], Any, Observation, Any],
     RecordConstructorArgs,
 ):
-    """Flat names and one row of numbers for a :class:`ControlEnv`.
+    """Flat names of observations and one action vector for a :class:`ControlEnv`.
 
-    The observation is a dictionary of arrays, called as LeRobot calls them:
+    The observation is a dictionary of arrays with the names of LeRobot:
 
-    - ``observation.state``, (n,) float32: the parts of the state, one after the other;
-      of all robots each. By default ``agent_pos``, the 14 numbers of our data sets.
+    - ``observation.state``, (n,) float32: the parts of the state, concatenated, each
+      for all robots. By default ``agent_pos``, the 14 numbers of our data sets.
     - ``observation.images.NAME``, (height, width, 3) uint8: each camera's image.
     - ``observation.depth.NAME``, (height, width) float32 [m]: each camera's depth.
-    - ``observation.environment_state``, (m,) float32: the truth, one part after the
-      other, or the goal state, if the environment was asked for it
-      (``observation="privileged"`` or ``"goal_state"``).
+    - ``observation.environment_state``, (m,) float32: the concatenated true state or
+      the goal state, with the option ``observation="privileged"`` or ``"goal_state"``.
 
-    The instruction is left to ``info["instruction"]`` and ``task_description``, and the
-    top-down map to the environment itself. The action is one vector, row after row of
-    the environment's ``action_layout``; :attr:`action_names` and :attr:`state_names`
-    name every number. Values are those of the environment, unchanged.
+    The instruction is in ``info["instruction"]`` and ``task_description``; the top-down
+    map is only in the wrapped environment. The action is one vector: the rows of the
+    environment's ``action_layout``, concatenated. :attr:`action_names` and
+    :attr:`state_names` name every number. Values are unchanged.
     """
 
     def __init__(
@@ -54,11 +53,11 @@ class FlatView(
 
         Args:
             env: An environment at control level, with or without wrappers around it.
-            state: Parts of the state, of :data:`STATES`.
+            state: Parts of the state, some of :data:`STATES`.
 
         Raises:
-            InvalidConfigError: The environment is of another level, or there is no such
-                part.
+            InvalidConfigError: The environment is not at control level, or there is no
+                such part.
         """
         RecordConstructorArgs.__init__(self, state=state)
         gymnasium.Wrapper.__init__(self, env)
@@ -131,7 +130,7 @@ class FlatView(
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Set the table for a new episode; see :meth:`LemmaEnv.reset`."""
+        """Start a new episode; see :meth:`LemmaEnv.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self.flatten(observation), info
 
@@ -144,7 +143,7 @@ class FlatView(
             action: All numbers in one row; see :attr:`action_names`.
 
         Raises:
-            InvalidActionError: It is no such row, or not in bounds.
+            InvalidActionError: The action has another shape, or is out of bounds.
             ResetNeededError: The episode is over.
         """
         count = len(self.action_names)
@@ -163,13 +162,13 @@ class FlatView(
 
 
 def _joined(parts: Sequence[spaces.Space[Any]]) -> spaces.Box:
-    """Return the space of arrays of some spaces, one after the other."""
+    """Return the space of the concatenated arrays of some spaces."""
     lows, highs = [], []
     for part in parts:
         if isinstance(part, spaces.Box):
             low, high = part.low.reshape(-1), part.high.reshape(-1)
         else:
-            # Truth values.
+            # Boolean values.
             low = np.zeros(int(np.prod(part.shape or (1,))))
             high = low + 1.0
         lows.append(low)
@@ -182,7 +181,7 @@ def _joined(parts: Sequence[spaces.Space[Any]]) -> spaces.Box:
 
 
 def _state_names(robots: Sequence[str], parts: Sequence[str]) -> tuple[str, ...]:
-    # As in data sets.
+    # The names of data sets.
     motors = (*JOINTS, "gripper")
     numbers = {
         "agent_pos": motors,

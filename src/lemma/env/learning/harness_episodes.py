@@ -1,4 +1,4 @@
-"""Episodes as evaluation harnesses ask for them: by seed, and judged at their end."""
+"""Episodes for evaluation harnesses: chosen by seed, and judged at their end."""
 
 from typing import Any
 
@@ -11,23 +11,22 @@ from lemma.env.config import RESET_OPTIONS
 from lemma.tasks.instance import splits_of
 
 FIGURES = ("is_success", "success", "progress", "elapsed_s", "instance")
-"""Keys of ``info`` about an episode; none that a harness might take for observed."""
+"""Keys of ``info`` that are kept; none that a harness might treat as an observation."""
 
 
 class HarnessEpisodes(
     gymnasium.Wrapper[Any, Any, Any, Any],
     RecordConstructorArgs,
 ):
-    """The instances of a split in order, for harnesses that count by seeds.
+    """A wrapper that plays the instances of a split in order, by seed.
 
-    ``reset(seed=s)`` begins instance ``s - first_seed`` of the split, counted on from
-    the first after the last one; without a seed, the instance after the one before.
-    ``index``, ``instance`` and ``split`` among the options choose as in the
-    environment, and options of others are dropped.
+    ``reset(seed=s)`` starts instance ``s - first_seed`` of the split, modulo its
+    length; without a seed, it starts the next instance. The options ``index``,
+    ``instance`` and ``split`` work as in the environment; unknown options are dropped.
 
-    Harnesses look for success at every step and take any they find.
-    ``info["is_success"]`` and ``info["success"]`` are therefore False until the episode
-    is over; then they are its verdict. Of the rest, ``info`` keeps :data:`FIGURES`.
+    Harnesses check for success at every step. ``info["is_success"]`` and
+    ``info["success"]`` are therefore False until the episode is over; then they are its
+    verdict. ``info`` keeps only :data:`FIGURES`.
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any], first_seed: int = 0) -> None:
@@ -35,10 +34,10 @@ class HarnessEpisodes(
 
         Args:
             env: An environment of this package, with or without wrappers around it.
-            first_seed: The seed with which the harness begins.
+            first_seed: The first seed of the harness.
 
         Raises:
-            InvalidConfigError: It is none.
+            InvalidConfigError: ``env`` is no environment of this package.
         """
         RecordConstructorArgs.__init__(self, first_seed=first_seed)
         gymnasium.Wrapper.__init__(self, env)
@@ -54,7 +53,7 @@ class HarnessEpisodes(
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; see :meth:`lemma.env.base_env.LemmaEnv.reset`."""
+        """Start an episode; see :meth:`lemma.env.base_env.LemmaEnv.reset`."""
         chosen = {
             name: value
             for name, value in (options or {}).items()
@@ -70,7 +69,7 @@ class HarnessEpisodes(
         return observation, _figures(info, over=False)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Act once; see the environment's ``step``."""
+        """Execute one action; see the environment's ``step``."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         over = terminated or truncated
         return observation, reward, terminated, truncated, _figures(info, over=over)

@@ -1,7 +1,7 @@
-"""State of arms and grippers, in the numbers that an action commands.
+"""State of arms and grippers in the layout of an action.
 
-Data sets and policies of imitation have states and actions of the same numbers: what is
-measured, and what shall be.
+In data sets and imitation policies, states and actions have the same layout: states are
+measured values, actions are targets.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from lemma.robots.ur.build import JOINTS
 Float32Array = NDArray[np.float32]
 MotorControl = Literal["joint_position", "ee_waypoint_rot6d"]
 JOINT_POSITION, WAYPOINT = MOTOR_CONTROLS = get_args(MotorControl)
-"""The control modes that there are such numbers for."""
+"""The control modes with such a state."""
 _DECIMALS = 6
 MOTORS = {
     JOINT_POSITION: (*JOINTS, "gripper"),
@@ -27,12 +27,12 @@ MOTORS = {
 
 
 def motor_names(control: str, robots: Sequence[str]) -> list[str]:
-    """Return what the numbers of a team are, robot by robot: ``robot_0.gripper``."""
+    """Return the names of a team's numbers, robot by robot: ``robot_0.gripper``."""
     return [f"{robot}.{motor}" for robot in robots for motor in MOTORS[control]]
 
 
 def motor_state(control: str, observation: Mapping[str, Any]) -> Float32Array:
-    """Return what is measured of a team, in the numbers that a control mode commands.
+    """Return the measured state of a team in the action layout of a control mode.
 
     Args:
         control: One of :data:`MOTOR_CONTROLS`.
@@ -63,7 +63,7 @@ def _matrices(rows: Any) -> FloatArray:
 def tool_rows(
     bases: FloatArray, tools: FloatArray, openings: FloatArray | Float32Array
 ) -> Float32Array:
-    """Return poses as ``ee_waypoint_rot6d`` writes them: in frames of the bases.
+    """Return poses in the layout of ``ee_waypoint_rot6d``, in the frames of the bases.
 
     Args:
         bases: World from base, (n, 4, 4) [m].
@@ -76,5 +76,5 @@ def tool_rows(
     poses = np.linalg.solve(bases, tools)
     columns = [poses[:, :3, number] for number in (3, 0, 1)]
     rows = np.column_stack([*columns, openings])
-    # Learners scale each number by how much it varies: also what is but rounding.
+    # Round: learners normalize each number by its spread, even if it is rounding noise.
     return np.round(rows, _DECIMALS).astype(np.float32)

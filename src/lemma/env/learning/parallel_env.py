@@ -26,10 +26,10 @@ ParallelStep = tuple[
 
 
 class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
-    """Each agent is one robot: its joints, its cameras, its motors; one shared reward.
+    """A PettingZoo environment with one agent per robot and a shared reward.
 
-    Everything else is as in :class:`~lemma.env.control_env.ControlEnv`, which does the
-    work.
+    An agent observes the joints and cameras of its robot and commands its motors.
+    Everything else is as in the wrapped :class:`~lemma.env.control_env.ControlEnv`.
     """
 
     def __init__(self, inner: ControlEnv) -> None:
@@ -55,27 +55,27 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         }
 
     def _cameras_of(self, agent: str) -> tuple[str, ...] | None:
-        """Return which of the chosen cameras an agent sees: its own, and nobody's."""
+        """Return an agent's cameras: those of its robot, and those of no robot."""
         if self.inner.config.cameras is None:
             return None
         own = {agent, wrist_name(agent), reach_name(agent), OVERVIEW_NAME, TABLE_NAME}
         return tuple(name for name in self.inner.config.cameras if name in own)
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Return what an agent observes."""
+        """Return the observation space of an agent."""
         return self._observers[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Return what an agent commands; ``inner.action_layout`` names the numbers."""
+        """Return the action space of an agent: one row of ``inner.action_layout``."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Set the table for a new episode.
+        """Start a new episode.
 
         Args:
-            seed: Seeds the draws of instances.
+            seed: Seeds the random choice of instances.
             options: As for :class:`~lemma.env.base_env.LemmaEnv`.
 
         Returns:
@@ -96,7 +96,7 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
 
         Raises:
             InvalidActionError: An agent is missing or unknown, or its action is not in
-                its space. Nothing has moved then.
+                its space. In this case nothing has moved.
             ResetNeededError: The episode is over.
         """
         check_keys(actions, self.possible_agents)
@@ -129,11 +129,11 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         return self.inner.state_hash()
 
     def render(self) -> RgbImage | None:
-        """Return a picture for people; None without a render mode."""
+        """Return an image for people; None without a render mode."""
         return self.inner.render()
 
     def close(self) -> None:
-        """Free what rendering uses."""
+        """Free the resources of rendering."""
         for observer in self._observers.values():
             observer.close()
         self.inner.close()

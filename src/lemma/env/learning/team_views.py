@@ -1,4 +1,4 @@
-"""Acting together for PettingZoo: one agent per robot, asked when it is free."""
+"""PettingZoo environments for robots that act together, one agent per robot."""
 
 from collections.abc import Mapping
 from copy import deepcopy
@@ -16,7 +16,7 @@ from lemma.scene.cameras import RgbImage
 
 
 class _Agents:
-    """The common part of both views: observations and infos by agent."""
+    """Common base of both environments: observations and infos by agent."""
 
     def __init__(self, inner: TeamEnv) -> None:
         self.inner = inner
@@ -38,15 +38,15 @@ class _Agents:
         }
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """Return what an agent observes: its joints and its own camera."""
+        """Return the observation space of an agent: its joints and its own camera."""
         return self._observers[agent].space
 
     def action_space(self, agent: str) -> spaces.Dict:
-        """Return the orders that an agent can give itself."""
+        """Return the action space of an agent: orders for its own robot."""
         return self._action_spaces[agent]
 
     def observe(self, agent: str) -> Observation:
-        """Return what an agent observes now."""
+        """Return the present observation of an agent."""
         return self._observers[agent].observe(
             self.inner.episode, self.inner.config.instruction
         )
@@ -60,34 +60,34 @@ class _Agents:
         return self.inner.state_hash()
 
     def render(self) -> RgbImage | None:
-        """Return a picture for people; None without a render mode."""
+        """Return an image for people; None without a render mode."""
         return self.inner.render()
 
     def close(self) -> None:
-        """Free what rendering uses."""
+        """Free the resources of rendering."""
         for observer in self._observers.values():
             observer.close()
         self.inner.close()
 
 
 class TeamParallelEnv(_Agents, ParallelEnv[str, Observation, Any]):
-    """All agents at each decision; nobody looks at the actions of those at work.
+    """All agents act at each decision; actions of busy agents are ignored.
 
-    ``infos[agent]["action_mask"]`` fits ``action_space(agent).sample(mask=...)``; the
-    rest of it and of the steps is as in :class:`~lemma.env.team.team_env.TeamEnv`.
+    ``infos[agent]["action_mask"]`` fits ``action_space(agent).sample(mask=...)``; all
+    else is as in :class:`~lemma.env.team.team_env.TeamEnv`.
     """
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Set the table for a new episode; observations and infos by agent."""
+        """Start a new episode; return observations and infos by agent."""
         self.inner.set_table(seed, options)
         self.agents = list(self.possible_agents)
         seen = {name: self.observe(name) for name in self.agents}
         return seen, self._infos_of(self.inner.info())
 
     def step(self, actions: Action) -> ParallelStep:
-        """Give the orders of those that are free.
+        """Give orders to the free robots.
 
         Args:
             actions: An order for each agent.
@@ -97,7 +97,7 @@ class TeamParallelEnv(_Agents, ParallelEnv[str, Observation, Any]):
 
         Raises:
             InvalidActionError: An agent is missing or unknown, or the order of a free
-                one is not in its space. Nothing has moved then.
+                one is not in its space. In this case nothing has moved.
             ResetNeededError: The episode is over.
         """
         check_keys(actions, self.possible_agents)
@@ -117,15 +117,15 @@ class TeamParallelEnv(_Agents, ParallelEnv[str, Observation, Any]):
 
 
 class TeamAECEnv(_Agents, AECEnv[str, Observation, Any]):
-    """Free agents are asked one after another; then time passes to the next decision.
+    """Free agents act one after another; then time passes to the next decision.
 
-    Masks of those asked later do not know the orders of those asked before.
+    The mask of an agent does not account for orders that others gave before it.
     """
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> None:
-        """Set the table for a new episode."""
+        """Start a new episode."""
         self.inner.set_table(seed, options)
         self.agents = list(self.possible_agents)
         self._orders: dict[str, Action] = {}
@@ -143,11 +143,12 @@ class TeamAECEnv(_Agents, AECEnv[str, Observation, Any]):
         self.agent_selection = self._asked.pop(0)
 
     def step(self, action: Action | None) -> None:
-        """Take the order of the agent that was asked; None from one that is done.
+        """Take the order of the selected agent; None from an agent that is done.
 
         Raises:
-            InvalidActionError: It is not in its space; the same agent is asked again.
-            ResetNeededError: There is no episode, or nobody is left in it.
+            InvalidActionError: The order is not in its space; the same agent stays
+            selected.
+            ResetNeededError: There is no episode, or it is over.
         """
         if not self.agents:
             raise ResetNeededError("The episode is over. Call reset() before step().")

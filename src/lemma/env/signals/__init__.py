@@ -1,1 +1,1 @@
-"""Signals for learners: rewards, and a small state of what they are about."""
+"""Signals for learners: rewards, progress, and a small goal state."""

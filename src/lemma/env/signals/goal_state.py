@@ -1,12 +1,12 @@
-"""A small state for learners: what each hand has to do with the goal, in numbers.
+"""A small state vector for learners: the relation of each hand to the goal.
 
-It tells of the goal's first part that does not hold yet, or of the last if all do:
-where its object is from each hand, and where that belongs. Each robot has numbers of
-its own, in the frame of its hand: *forward* is horizontally away from the axis of the
-robot's base, *left* is to the left of that, *up* is up. In this frame the same motion
-has the same numbers all round a base.
+It describes the first conjunct of the goal that does not hold yet, or the last one if
+all hold: the position of its object and of the place, relative to each hand. Each robot
+has its own numbers, in the frame of its hand: *forward* is horizontally away from the
+axis of the robot's base, *left* is to the left of that, *up* is up. This frame makes
+the numbers invariant to rotation about the base.
 
-It is computed from the true state. Of a stick it says nothing, so *poke* and *hook*
+It is computed from the true state. It does not include the stick, so *poke* and *hook*
 cannot be learned from it alone.
 """
 
@@ -45,18 +45,18 @@ NUMBERS = (
 gripper points; zeros when it points down.
 ``opening``: distance between the fingers [m].
 ``holds``: 1 if both of them touch the object, else 0.
-``object_forward``, ``object_left``, ``object_up``: from the tool centre point to where
-the object is grasped [m].
-``object_turn``: by how much the gripper is to be turned about the vertical, counter-
-clockwise seen from above, for its fingers to close along the object [rad].
-``place_forward``, ``place_left``, ``place_up``: from the object to where it belongs
-[m]: on the goal's bottom, or above it, by what is missing, if it is to be lifted; zeros
-if a hand is to be held over it.
+``object_forward``, ``object_left``, ``object_up``: from the tool centre point to the
+object's grasp position [m].
+``object_turn``: by how much the gripper is to be turned about the vertical,
+counterclockwise seen from above, for its fingers to close along the object [rad].
+``place_forward``, ``place_left``, ``place_up``: from the object to its place [m]: on the
+goal's bottom; the missing height, if it is to be lifted; zeros if a hand is to be held
+over it.
 """
 
 
 def goal_state_names(robots: Sequence[str]) -> tuple[str, ...]:
-    """Return what each number of a goal state is: ``"robot_0.reach"``, ..."""
+    """Return the names of the numbers of a goal state: ``"robot_0.reach"``, ..."""
     return tuple(f"{robot}.{number}" for robot in robots for number in NUMBERS)
 
 
@@ -98,11 +98,11 @@ def goal_state(episode: Episode, robots: Sequence[str]) -> NDArray[np.float32]:
 def grasp_of(
     name: str, scene: Scene
 ) -> tuple[tuple[float, float, float, float], float]:
-    """Return where an object is grasped.
+    """Return the grasp pose of an object.
 
     Returns:
-        x, y, z and yaw there [m, rad]; and the turn about the vertical that makes no
-        difference, 0 if every one makes none [rad].
+        x, y, z and yaw [m, rad]; and the angle of its rotational symmetry about the
+        vertical, 0 if it is symmetric under every rotation [rad].
     """
     kind, (x, y, z) = kind_of(name), scene.position(name)
     target = scene.pose2(name)
@@ -114,10 +114,10 @@ def grasp_of(
 
 
 def place_of(predicate: Predicate, scene: Scene) -> tuple[float, float, float]:
-    """Return where a part of a goal wants its object's frame [m].
+    """Return the target position of an object's frame in a conjunct of a goal [m].
 
-    On its bottom; above where it is, as high as it is to be lifted; or where it is, if
-    a hand is to be held over it.
+    The target is on the bottom; at lifting height above the present position; or the
+    present position, if a hand is to be held over it.
     """
     if isinstance(predicate, On):
         x, y, z = scene.position(predicate.bottom)
@@ -131,7 +131,7 @@ def place_of(predicate: Predicate, scene: Scene) -> tuple[float, float, float]:
 
 
 def _present(goal: Goal, scene: Scene) -> Predicate:
-    """Return the first part of a goal that does not hold, or the last."""
+    """Return the first conjunct of a goal that does not hold, or the last."""
     for predicate in goal.conjuncts[:-1]:
         if not predicate.holds(scene):
             return predicate
@@ -139,7 +139,7 @@ def _present(goal: Goal, scene: Scene) -> Predicate:
 
 
 def _seen(vector: FloatArray, forward: Sequence[float]) -> tuple[float, float, float]:
-    """Return a vector of the world as forward, left and up."""
+    """Return a world vector as forward, left and up."""
     x, y, z = vector[:3].tolist()
     a, b = forward
     return (a * x + b * y, a * y - b * x, z)

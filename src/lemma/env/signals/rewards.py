@@ -8,8 +8,8 @@ of the states in between, so going in circles earns nothing.
 
 An episode that is terminated ends in a potential of 1 if it succeeded and of 0 if not.
 Its discounted return is then a multiple of the sparse one, less phi(s_0): the same
-policies are best. Where it is truncated its potential is that of the state it was left
-in, for learners that go on from the value of that state.
+policies are best. A truncated episode keeps the potential of its last state, for
+learners that bootstrap from the value of that state.
 """
 
 import math
@@ -27,33 +27,33 @@ from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import HOVER_M, LIFTED_M, Lifted, Predicate, Reached
 
 Potential = Callable[[Episode], float]
-"""How far an episode has come, in [0, 1]: a function of the state of its scene."""
+"""Progress of an episode in [0, 1], as a function of the state of its scene."""
 
 _ROOM_M = 2.0
 _FINE_M = 0.1
 _LEVEL_M = 0.01
 AROUND_M = 0.03
-"""The fingers are around an object if they are this near to where it is grasped [m]."""
+"""The fingers are around an object if they are this near to its grasp position [m]."""
 ASIDE_M, SLOPE, HIGH_M = 0.015, 2.0, 0.06
-"""Hands come from above: farther aside than the first, so many times higher, up to
-the last [m, 1, m]."""
+"""Hands approach from above: the height rises from the first horizontal distance on,
+with this slope, up to the last [m, 1, m]."""
 _GRIP, _HOLD, _LIFT, _PLACE = 0.25, 0.1, 0.15, 0.4
 
 
 def goal_potential(episode: Episode) -> float:
-    """Return the mean over the goal's conjuncts of how far each has come.
+    """Return the mean progress of the goal's conjuncts.
 
-    A conjunct that holds has 1. Else ``Reached(bottom)`` is 0.9 x how near the nearest
-    hand is to 5 cm above it. ``Lifted(top)`` is the sum of
+    A conjunct that holds counts 1. Else ``Reached(bottom)`` is 0.9 x the nearness of
+    the nearest hand to 5 cm above it. ``Lifted(top)`` is the sum of
 
-    - 0.5 x how well a hand is about to grasp it, see :func:`grip`,
+    - 0.5 x the grasp readiness of a hand, see :func:`grip`,
     - 0.15 if a gripper holds it,
     - 0.3 x its height while it is held, up to 5 cm,
 
-    and ``On(top, bottom)`` of 0.25, 0.1 and 0.15 times the same, where height is
-    not asked for within 5 cm of its place seen from above, and 0.4 x how near it is to
-    its place on the bottom. The first three count in full once it is in its place. How
-    near something is falls with its distance, see :func:`nearness`.
+    and ``On(top, bottom)`` is the sum of 0.25, 0.1 and 0.15 times the same terms, where
+    less height is required within 5 cm of the place, seen from above, and of 0.4 x the
+    nearness of the top to its place on the bottom. The first three count in full once
+    it is in its place. For nearness see :func:`nearness`.
     """
     simulation = episode.simulation
     held = set(simulation.held().values())
@@ -65,7 +65,7 @@ def goal_potential(episode: Episode) -> float:
 
 
 def _advance(simulation: Simulation, on: Predicate, held: set[str]) -> float:
-    """Return how far a conjunct has come that does not hold, in [0, 0.95]."""
+    """Return the progress of a conjunct that does not hold, in [0, 0.95]."""
     scene = simulation.scene
     if isinstance(on, Reached):
         x, y, z = scene.position(on.bottom)
@@ -95,7 +95,7 @@ def _is_placed(
 
 
 def _best_grip(simulation: Simulation, name: str) -> float:
-    """Return how well the best hand is about to grasp an object."""
+    """Return the largest grasp readiness of a hand for an object."""
     scene = simulation.scene
     at, turn_rad = grasp_of(name, scene)
     found = 0.0
@@ -110,19 +110,18 @@ def _best_grip(simulation: Simulation, name: str) -> float:
 
 
 def grip(beside_m: float, above_m: float, turn: float, opening: float) -> float:
-    """Return how well a hand is about to grasp an object, in [0, 1].
+    """Return the readiness of a hand to grasp an object, in [0, 1].
 
-    It is to come from above, so that its fingers do not push the object: its way leads
-    over the object to where that is grasped. On this way it gains by being near, by
-    being turned as the object is, and by open fingers; around the object, by closed
-    ones.
+    The hand should approach from above, so that its fingers do not push the object. On
+    this path, readiness grows with nearness, alignment with the object and open
+    fingers; around the object, it grows with closed fingers.
 
     Args:
-        beside_m: Distance of the tool centre point from where the object is grasped,
-            seen from above [m].
-        above_m: How much higher it is [m].
-        turn: By how much it is turned wrongly, as a share of the most, in [-1, 1].
-        opening: Of the fingers, as a share of the widest.
+        beside_m: Horizontal distance of the tool centre point from the grasp position
+            [m].
+        above_m: Height of the tool centre point above the grasp position [m].
+        turn: Yaw error as a fraction of the largest one, in [-1, 1].
+        opening: Opening of the fingers as a fraction of the largest one.
     """
     way = min(max(SLOPE * (beside_m - ASIDE_M), 0.0), HIGH_M)
     far_m = math.hypot(beside_m, max(above_m, way)) + max(way - above_m, 0.0)
@@ -135,21 +134,21 @@ def grip(beside_m: float, above_m: float, turn: float, opening: float) -> float:
 def nearness(distance_m: float) -> float:
     """Return (1 - d / 2 m) / 2 + (1 - tanh(d / 0.1 m)) / 2 of a distance d.
 
-    1 where there is none; it falls evenly up to 2 m, and steeply nearby.
+    It is 1 at distance 0, falls linearly up to 2 m, and steeply near 0.
     """
     coarse = 1.0 - min(1.0, distance_m / _ROOM_M)
     return 0.5 * coarse + 0.5 * (1.0 - math.tanh(distance_m / _FINE_M))
 
 
 REWARDS: Registry[Potential | None] = Registry("reward", Potential | None)
-"""The rewards by name: the potential that each adds to the sparse one, or None."""
+"""The rewards by name: the potential for shaping, or None for the sparse reward."""
 REWARDS.add("sparse", None)
 REWARDS.add("dense", goal_potential)
 REWARDS.add("stages", lambda episode: episode.progress)
 
 
 class RewardMeter:
-    """Rewards the steps of an episode, one after the other."""
+    """Computes the rewards of consecutive steps of an episode."""
 
     def __init__(self, reward: str, discount: float) -> None:
         """Prepare.
@@ -172,7 +171,7 @@ class RewardMeter:
             self.potential = self._potential(episode)
 
     def reward(self, episode: Episode) -> float:
-        """Return the reward of the step that has just been done."""
+        """Return the reward of the last step."""
         succeeded = episode.is_over and episode.is_success
         if self._potential is None or self.potential is None:
             return float(succeeded)

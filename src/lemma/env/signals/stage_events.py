@@ -1,23 +1,23 @@
-"""Events: whether what stages depend on may have changed since they were computed.
+"""Events: detect whether the stages may have changed since they were computed.
 
-To compute stages takes as long as several physics steps, and while a hand comes near a
-cube, or carries it over the table, they stay what they are. So one kernel computes
-*flags*: who touches what with which parts, whose hand is near what, and what is led,
-rests, has fallen, is moved or lifted. Stages are computed anew where
+Computing stages takes as long as several physics steps, and they are constant while a
+hand approaches a cube or carries it over the table. So one kernel computes *flags*:
+contacts between robot parts and objects, hands near objects, and objects that are led,
+at rest, fallen, moved or lifted. Stages are recomputed if
 
 - a flag has changed;
-- an object moved which no robot leads, which is slow enough to rest, or which a hand is
-  near or touches without holding it: who reaches it may have changed;
-- an object moved on which another one is put that a hand is near or touches, or for
-  which the resting stick may lie ready;
-- one thing stands on another as the plan or the goal wants it, or they speak of a hand,
-  and a hand or something that moved is near: the engine has not computed yet whether
-  they touch now.
+- an object moved that no robot leads, that is slow enough to count as at rest, or that
+  a hand is near or touches without holding: the robots that reach it may have changed;
+- an object moved that is the place of another object near or in a hand, or for which
+  the resting stick may be in position;
+- one object stands on another as the plan or goal requires, or they refer to a hand,
+  and a hand or a moved object is near: the engine has not computed yet whether they
+  touch now.
 
-Elsewhere every predicate of :mod:`lemma.env.stages` is what it was, but for an object
-within :data:`STILL_M` of a limit, and for an elbow that touches what stands between two
-physics steps. Whether stages are computed depends on nothing but the states that were
-looked at, and what is known of them is saved with the stages.
+Otherwise every predicate of :mod:`lemma.env.stages` is unchanged, except for an object
+within :data:`STILL_M` of a limit, and for an elbow that touches a standing object
+between two physics steps. The decision depends only on the observed states, and its
+data are saved with the stages.
 """
 
 import math
@@ -40,15 +40,15 @@ from lemma.tasks.subtask import Primitive, SubTask
 NEAR_M = 0.10
 """A hand is near an object if its tool centre point is within this of the grasp [m]."""
 LIFT_M = 0.015
-"""An object is lifted if it is so much higher than it was at first [m]."""
+"""An object is lifted if it is this much higher than initially [m]."""
 MOVED_M = 0.03
-"""An object has moved if it is so far from where it was at first [m]."""
+"""An object has moved if it is this far from its initial position [m]."""
 STILL_M = 0.0001
-"""An object stayed where it was if it is within this of there [m]."""
+"""An object has not moved if it is within this distance of its last position [m]."""
 
 _STILL_TURN = 0.0005
 _NEAR = 8
-"""Beside the bits of the parts of a robot that touch an object."""
+"""Flag bit for a near hand, above the bits of a robot's parts that touch an object."""
 _LED, _RESTS, _FALLEN, _MOVED, _LIFTED = 1, 2, 4, 8, 16
 _HANDS = (Primitive.REACH, Primitive.LIFT)
 
@@ -67,13 +67,13 @@ class StageEvents:
     def __init__(
         self, scene: Scene, goal: Goal, plan: tuple[SubTask, ...], first: FloatArray
     ) -> None:
-        """Begin before stages were computed.
+        """Prepare; stages have not been computed yet.
 
         Args:
-            scene: Where things are.
+            scene: The scene.
             goal: The goal of the episode.
             plan: The expert's plan for it.
-            first: Where objects were at first, (objects, 3) [m].
+            first: Initial positions of objects, (objects, 3) [m].
         """
         self._data, coasting = scene.data, scene.coasting
         names = coasting.names
@@ -101,7 +101,8 @@ class StageEvents:
         self._stands = np.array(stands, np.int64).reshape(-1, 2)
         supports = [_support(bottom, scene) for _, bottom in pairs]
         self._supports = np.array(supports).reshape(-1, 4)
-        # Where the stick is picked, it may lie ready for a cube at the place.
+        # A sub-task that picks the stick may find it in position for a cube at the
+        # place.
         steps = [
             (number[step.pick], number[step.place], step.pick == STICK)
             for step in plan
@@ -115,7 +116,7 @@ class StageEvents:
         return EventState(tuple(poses), tuple(flags))
 
     def restore(self, state: EventState) -> None:
-        """Go back to what was known before."""
+        """Restore an earlier state."""
         self._poses[:] = np.reshape(state.poses, self._poses.shape)
         self._flags[:] = np.reshape(state.flags, self._flags.shape)
 
@@ -137,17 +138,17 @@ class StageEvents:
 
 
 def _size(scene: Scene, item: int) -> tuple[float, float]:
-    """Return where an object is grasped along its x axis, and its extent [m]."""
+    """Return the grasp position of an object along its x axis, and its extent [m]."""
     coasting, model = scene.coasting, scene.model
     mine = coasting.owner == item
-    # A corner is no farther from the middle than twice its largest coordinate.
+    # The distance of a corner is at most twice the largest coordinate.
     extent = model.geom_rbound[mine] + 2.0 * np.abs(model.geom_pos[mine]).max(axis=1)
     along = GRASP_FROM_END_M if coasting.names[item] == STICK else 0.0
     return along, float(extent.max())
 
 
 def _support(bottom: str, scene: Scene) -> tuple[float, float, float, float]:
-    """Return how far from a bottom's middle the top may be, and where that is [m]."""
+    """Return the tolerance of the top's position on a bottom, and its center [m]."""
     if bottom not in scene.object_names:
         return (0.0, 0.0, 0.0, 0.0)
     x, y, z = scene.position(bottom)
@@ -173,7 +174,7 @@ def _note(  # noqa: PLR0913
     now: NDArray[np.int64],
     stirs: NDArray[np.bool_],
 ) -> None:
-    """Note the flags of the present state, and which objects were elsewhere."""
+    """Write the flags of the present state, and mark the objects that moved."""
     count, robots = len(at), len(hands)
     led, carried = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     now[:] = 0
@@ -199,7 +200,7 @@ def _flags_of(
     first: FloatArray,
     rest: FloatArray,
 ) -> int:
-    """Return the flags of an object that its own state decides."""
+    """Return the flags of an object that depend on its own state alone."""
     found = 0
     speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     turn = math.sqrt(v[3] * v[3] + v[4] * v[4] + v[5] * v[5])
@@ -221,7 +222,7 @@ def _flags_of(
 
 @kernel
 def _is_elsewhere(q: FloatArray, before: FloatArray) -> bool:
-    """Whether an object is not where it was, or turned; also where that is unknown."""
+    """Return True if an object moved or turned, or if its last pose is unknown."""
     dx, dy, dz = q[0] - before[0], q[1] - before[1], q[2] - before[2]
     if not dx * dx + dy * dy + dz * dz <= STILL_M * STILL_M:
         return True
@@ -233,7 +234,7 @@ def _is_elsewhere(q: FloatArray, before: FloatArray) -> bool:
 
 @kernel
 def _from_grasp(site: FloatArray, q: FloatArray, along_m: float) -> float:
-    """Return the distance of a hand from where an object is grasped [m]."""
+    """Return the distance of a hand from an object's grasp position [m]."""
     w, x, y, z = q[3], q[4], q[5], q[6]
     cos, sin = 1.0 - 2.0 * (y * y + z * z), 2.0 * (w * z + x * y)
     length = math.sqrt(cos * cos + sin * sin)
@@ -259,7 +260,7 @@ def _must_tell(  # noqa: PLR0913
     hands: NDArray[np.int64],
     sizes: FloatArray,
 ) -> bool:
-    """Whether a flag changed, or something moved or came near so that it may matter."""
+    """Return True if a flag changed, or a motion or proximity may change stages."""
     robots = len(hands)
     for k in range(len(stirs)):
         for r in range(robots + 1):
@@ -295,7 +296,7 @@ def _must_tell(  # noqa: PLR0913
 
 @kernel
 def _is_carried(now: NDArray[np.int64], k: int) -> bool:
-    """Whether an object is led, and no hand is at it but one that holds it."""
+    """Return True if an object is led, and no hand is at it except a holding one."""
     robots = len(now) - 1
     if now[robots, k] & _RESTS or not now[robots, k] & _LED:
         return False
@@ -336,7 +337,7 @@ def _is_watched(  # noqa: PLR0913
     hands: NDArray[np.int64],
     sizes: FloatArray,
 ) -> bool:
-    """Whether a hand, or something that moved, is near what stands somewhere."""
+    """Return True if a hand, or a moved object, is near a standing object."""
     for hand in hands:
         if _is_within(sites[hand], middle, WATCH_M):
             return True

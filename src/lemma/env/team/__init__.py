@@ -1,1 +1,1 @@
-"""Orders to the free robots of a team, several of which work at the same time."""
+"""Orders to the free robots of a team that works in parallel."""

@@ -1,9 +1,9 @@
-"""Orders to the free robots of a team: what is under way, and what it will leave.
+"""Orders to the free robots of a team, and prediction of their effects.
 
-The expert, environments and evaluation give orders here. An order is grounded in the
-state that everything under way will leave behind. If an earlier order touches what it
-is about, its robot waits until that has had its effect: what it needs lies where it
-should, and the arm that brought it goes home. Sectors of arms at work are reserved by
+The expert, environments and evaluation use this module. An order is grounded in the
+state expected after all orders in progress. If an earlier order involves the same
+objects, the robot waits for the effect of that order: the object lies at its place, and
+the arm that moved it retreats. Sectors of busy arms are reserved by
 :mod:`lemma.motion.reservations`.
 """
 
@@ -25,15 +25,15 @@ from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 LOOK_S = 0.05
-"""Time between two looks for effects [s]."""
+"""Time between two checks for effects [s]."""
 _AS_PREDICTED_M = 0.03
 
 
 class Team:
     """The robots of an episode, each free or with an order.
 
-    A robot whose order was refused, or ended at once, is free again after
-    ``refusal_s`` or ``least_s``, so that every episode comes to an end.
+    A robot whose order was refused or ended at once becomes free after ``refusal_s`` or
+    ``least_s``, so that every episode ends.
     """
 
     def __init__(
@@ -47,15 +47,15 @@ class Team:
         """Take over the robots of an episode, none of which is busy.
 
         Args:
-            episode: The instance being worked on.
-            grounder: Of the same scene; a new one if None.
-            least_s: Simulated time that an order takes at least [s].
-            refusal_s: The same for an order that its robot cannot carry out [s].
+            episode: The episode in progress.
+            grounder: Grounder of the same scene; a new one if None.
+            least_s: Minimum simulated time of an order [s].
+            refusal_s: The same, for an order that its robot cannot carry out [s].
         """
         self.episode = episode
         self.grounder = grounder or GeometricGrounder(episode.instance.scene)
         self.orders: dict[str, Order] = {}
-        """By robot; also those that wait for an effect."""
+        """Orders by robot, including those that wait for an effect."""
         self._rests: dict[str, float] = {}
         self._effects: dict[str, float] = {}
         self._least_s, self._refusal_s = least_s, refusal_s
@@ -72,7 +72,7 @@ class Team:
 
     @property
     def waits_for(self) -> dict[str, tuple[str, ...]]:
-        """For whom each waiting robot waits: for an effect, or for its sector."""
+        """Robots that each waiting robot waits for: for an effect, or for a sector."""
         waits = self.episode.simulation.reservations.waits
         found = {}
         for name, order in self.orders.items():
@@ -82,7 +82,7 @@ class Team:
         return found
 
     def observe(self) -> SymbolicState:
-        """Return the present state, in symbols."""
+        """Return the present symbolic state."""
         return SymbolicState.observe(self.episode.simulation.scene)
 
     def settled(self, now: SymbolicState) -> set[str]:
@@ -96,7 +96,7 @@ class Team:
             if order.waits_for or not simulation.reservations.is_going_home(robot):
                 continue
             if order.own_poses or order.option is None or order.before is None:
-                # A retreat goes home as well, with its load.
+                # A retreating robot also goes home, with its load.
                 if robot not in simulation.held():
                     found.add(robot)
             elif _is_as_predicted(now, order.option, order.before):
@@ -108,11 +108,11 @@ class Team:
     def expected(
         self, now: SymbolicState, settled: Collection[str] = ()
     ) -> SymbolicState:
-        """Return the state that all that is under way will leave behind.
+        """Return the state expected after all orders in progress.
 
         Args:
             now: The present state.
-            settled: Robots whose effects it shows already.
+            settled: Robots whose effects ``now`` already contains.
         """
         for robot, order in self.orders.items():
             if robot in settled or order.option is None or order.before is None:
@@ -125,7 +125,7 @@ class Team:
         return now
 
     def begin(self, option: GroundedOption, before: SymbolicState) -> None:
-        """Let a free robot begin what was grounded in a state.
+        """Let a free robot begin an option that was grounded in a state.
 
         Raises:
             InvalidActionError: The robot is busy.
@@ -142,14 +142,14 @@ class Team:
         """Give an order to a free robot.
 
         Args:
-            subtask: In symbols; None if only poses are known.
-            grounded: With a policy's own poses; the expert's if None.
+            subtask: Symbolic sub-task; None if only poses are known.
+            grounded: Sub-task with the policy's own poses; poses of the expert if None.
 
         Returns:
-            None, or how it ended where it cannot be carried out.
+            None; or the result, if the order cannot be carried out.
 
         Raises:
-            InvalidActionError: The robot is not free, or nothing is ordered.
+            InvalidActionError: The robot is not free, or both arguments are None.
             ResetNeededError: The episode is over.
             UnknownNameError: There is no such robot in this scene.
         """
@@ -181,7 +181,7 @@ class Team:
     def _leaving(
         self, grounded: GroundedSubTask, option: GroundedOption | None
     ) -> dict[str, str]:
-        """Return what lies where a robot puts something, and who takes that away."""
+        """Return the objects at a robot's place, and the robots that take them away."""
         if option is None or option.subtask.primitive is not Primitive.MOVE:
             return {}
         scene, found = self.episode.simulation.scene, dict[str, str]()
@@ -196,7 +196,7 @@ class Team:
         return found
 
     def refuse(self, subtask: SubTask, result: SkillResult) -> Done:
-        """Tell a free robot that it was ordered what has no poses.
+        """Refuse a free robot's order, which has no poses.
 
         Raises:
             LemmaError: As :meth:`order`.
@@ -229,7 +229,7 @@ class Team:
         return ground_or_refuse(subtask, state, self.grounder)
 
     def _needs(self, subtask: SubTask | None) -> set[str]:
-        """Return the robots whose orders are about the same objects."""
+        """Return the robots whose orders involve the same objects."""
         if subtask is None:
             return set()
         regions = tuple(self.episode.instance.scene.regions)
@@ -241,10 +241,10 @@ class Team:
         }
 
     def advance(self) -> tuple[Done, ...]:
-        """Let time pass until there is something to decide.
+        """Let time pass until the next decision.
 
-        That is when a robot becomes free, and when an order has its effect while
-        a robot is free. Where nobody has an order it is ``least_s`` later.
+        A decision is due when a robot becomes free, and when an order has its effect
+        while a robot is free. If no robot has an order, it is due after ``least_s``.
 
         Returns:
             The orders that ended meanwhile.
@@ -262,11 +262,11 @@ class Team:
                 break
         if episode.is_over:
             self.orders.clear()
-        # Nobody may wait for the next order of a robot that has just become free.
+        # Begin waiting orders now: they must not wait for later orders of freed robots.
         return (*done, *self._begin_ready())
 
     def _pass_a_moment(self, end_s: float, *, looks: bool) -> list[Done]:
-        """Let time pass to the next moment at which something may happen."""
+        """Let time pass to the next moment at which an order may end or take effect."""
         episode = self.episode
         until_s = min([end_s, *self._resting().values()])
         if looks or any(order.waits_for for order in self.orders.values()):
@@ -277,7 +277,7 @@ class Team:
         return self.pass_time(until_s)
 
     def pass_time(self, until_s: float = math.inf) -> list[Done]:
-        """Let time pass until an order ends, or up to a time [s]; return what ended."""
+        """Let time pass until an order ends or a time [s]; return the ended orders."""
         return [self._ended(one) for one in self.episode.advance(until_s)]
 
     def _ended(self, one: ExecutedSubTask) -> Done:
@@ -306,7 +306,7 @@ class Team:
         return self.episode.simulation.time_s > end_s - 0.5 * TIME_STEP_S
 
     def _begin_ready(self) -> list[Done]:
-        """Let those begin who have waited for effects that are there now."""
+        """Begin the orders whose awaited effects have occurred."""
         waiting = [name for name, order in self.orders.items() if order.waits_for]
         if not waiting:
             return []
@@ -318,14 +318,14 @@ class Team:
             if left:
                 self.orders[robot] = replace(order, waits_for=left)
                 continue
-            # Those that still wait were given later, or are about something else.
+            # Orders that still wait were given later, or involve other objects.
             begun = settled.union(n for n, o in self.orders.items() if o.waits_for)
             refused = self._begin_waiting(order, self.expected(now, begun))
             done += [refused] if refused else []
         return done
 
     def _begin_waiting(self, order: Order, state: SymbolicState) -> Done | None:
-        """Begin an order that has waited, in the state that there is now."""
+        """Begin an order that has waited, grounded in the present state."""
         found = self._ground(order.subtask, state)
         robot, now_s = order.grounded.robot, self.episode.simulation.time_s
         if not order.own_poses and isinstance(found, SkillResult):
@@ -338,10 +338,10 @@ class Team:
         return None
 
     def stop(self) -> tuple[Done, ...]:
-        """Let those at work finish, and end the episode.
+        """Let busy robots finish, and end the episode.
 
         Returns:
-            The orders that ended meanwhile; those that have not begun never do.
+            The orders that ended meanwhile; orders that have not begun are dropped.
         """
         done = list[Done]()
         while self.episode.simulation.busy:
@@ -352,11 +352,11 @@ class Team:
         return tuple(done)
 
     def state(self) -> TeamState:
-        """Return what it knows beside the episode."""
+        """Return the state of the team beside that of the episode."""
         return TeamState(dict(self.orders), dict(self._rests), dict(self._effects))
 
     def restore(self, state: TeamState) -> None:
-        """Take back what :meth:`state` returned, after the episode was restored."""
+        """Restore what :meth:`state` returned, after restoring the episode."""
         self.orders, self._rests = dict(state.orders), dict(state.rests)
         self._effects = dict(state.effects)
 
@@ -374,7 +374,7 @@ def _is_as_predicted(
 
 
 def _at(option: GroundedOption, grounded: GroundedSubTask) -> GroundedOption:
-    """Return an option whose effect is where a policy's own poses say."""
+    """Return an option whose effect is at a policy's own poses."""
     pick = option.subtask.pick
     pose = option.after.poses.get(pick)
     if option.subtask.primitive is not Primitive.MOVE or pose is None:

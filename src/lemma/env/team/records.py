@@ -1,4 +1,4 @@
-"""Records of a team: what each robot was ordered, and how it ended."""
+"""Records of the orders of a team, and of their results."""
 
 from dataclasses import dataclass
 
@@ -10,26 +10,26 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """A sub-task that a robot of a team carries out, or is about to."""
+    """A sub-task that a robot carries out, or waits to begin."""
 
     subtask: SubTask | None
-    """In symbols; None where only poses are known."""
+    """Symbolic sub-task; None if only poses are known."""
     grounded: GroundedSubTask
     start_s: float
     """Simulated time at which it was given [s]."""
     option: GroundedOption | None = None
-    """Its predicted effect, if that is known."""
+    """Grounded option with its predicted effect, if known."""
     before: SymbolicState | None = None
-    """The state in which that was predicted."""
+    """The state in which the option was grounded."""
     waits_for: frozenset[str] = frozenset()
-    """Robots whose effects must come first; it begins when nobody is left."""
+    """Robots whose effects must come first; the order begins when the set is empty."""
     own_poses: bool = False
-    """Whether the poses are those of a policy, and the effect may be elsewhere."""
+    """Whether the poses are the policy's, so that the effect may differ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """An order that has come to its end."""
+    """An order that has ended."""
 
     robot: str
     subtask: SubTask | None
@@ -39,7 +39,7 @@ class Done:
     start_s: float
     """Simulated time at which it began or was refused [s]."""
     effect_s: float | None = None
-    """When its effect was first seen, where somebody looked before its end [s]."""
+    """Time at which its effect was first seen [s]; None if unchecked before the end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
-"""Plan and skill level for several robots at once: orders to those that are free.
+"""Plan and skill level for robots that act in parallel, by orders to free robots.
 
-A step gives orders to free robots and ends when there is something to decide again: a
-robot has become free, or an order has had its effect while a robot is free. Steps
-take different times, as in a semi-Markov decision process: ``info["duration_s"]`` says
-how long the last one took.
+A step gives orders to free robots. It ends at the next decision: when a robot becomes
+free, or when an order has had its effect while a robot is free. Steps differ in
+duration, as in a semi-Markov decision process: ``info["duration_s"]`` is the duration
+of the last one.
 """
 
 from collections.abc import Mapping
@@ -45,14 +45,14 @@ Mask = dict[str, NDArray[np.int8]]
 class TeamEnv(LemmaEnv):
     """Common base of both levels: an action is a mapping from robot to order.
 
-    A robot that is left out waits, and so does one whose primitive is ``wait``, the
-    number behind those of :func:`~lemma.tasks.subtask.primitive_names`. ``stop`` of any
-    robot is the team's: those at work finish, then the episode is judged. An order that
-    cannot be carried out is no error: its robot alone is busy for a second.
+    A robot without an order waits, and so does one whose primitive is ``wait``, the
+    number after those of :func:`~lemma.tasks.subtask.primitive_names`. ``stop`` of any
+    robot ends the episode: busy robots finish, then it is judged. An order that cannot
+    be carried out raises no error: its robot is busy for a second.
 
-    ``info`` holds besides what every level reports: ``duration_s`` of the step;
-    ``free``, the robots that can be given orders; ``doing`` and ``waits_for`` by robot;
-    ``ended``, the orders that ended in the step; ``masks`` of valid orders by robot.
+    ``info`` additionally holds: ``duration_s`` of the step; ``free``, the robots that
+    can be given orders; ``doing`` and ``waits_for`` by robot; ``ended``, the orders
+    that ended in the step; ``masks`` of valid orders by robot.
     """
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
@@ -74,7 +74,7 @@ class TeamEnv(LemmaEnv):
             {name: self._order_space() for name in self.robot_names}
         )
         self.last_masks: dict[str, Mask] = {}
-        """The masks of the last info."""
+        """Masks in the last ``info``."""
         self._team: Team | None = None
         self._duration_s = 0.0
         self._ended: tuple[Done, ...] = ()
@@ -83,7 +83,7 @@ class TeamEnv(LemmaEnv):
         raise NotImplementedError
 
     def _decode(self, order: Action, robot: int) -> Any:
-        """Return what an order but ``wait`` means; None for ``stop``."""
+        """Decode an order other than ``wait``; return None for ``stop``."""
         raise NotImplementedError
 
     def _mask(self, robot: str) -> Mask:
@@ -91,7 +91,7 @@ class TeamEnv(LemmaEnv):
 
     @property
     def team(self) -> Team:
-        """The robots, free ones and those at work with their orders."""
+        """The team, with its free robots and its orders."""
         _ = self.episode
         assert self._team is not None
         return self._team
@@ -105,8 +105,8 @@ class TeamEnv(LemmaEnv):
         """Give orders to free robots, and let time pass to the next decision.
 
         Args:
-            action: Orders by robot. Each is grounded with the effects of those before
-                it in mind, so one step can order several sub-tasks of a plan.
+            action: Orders by robot. Each is grounded in the state expected after those
+                before it, so one step can order several sub-tasks of a plan.
 
         Returns:
             Observation, reward, terminated, truncated and info.
@@ -133,7 +133,7 @@ class TeamEnv(LemmaEnv):
     def read(
         self, action: Mapping[str, Action]
     ) -> tuple[bool, list[tuple[SubTask | None, GroundedSubTask | None]]]:
-        """Return whether the team stops, and the orders as they were given."""
+        """Return whether the team stops, and the decoded orders."""
         if not isinstance(action, Mapping) or not set(action) <= set(self.robot_names):
             raise InvalidActionError(
                 f"The action is {shown(action)}. Valid: a dictionary from some of "
@@ -186,7 +186,7 @@ class TeamEnv(LemmaEnv):
         return found
 
     def action_masks(self) -> dict[str, Mask]:
-        """Return by robot which numbers of an order make sense now.
+        """Return masks of the valid numbers of an order now, by robot.
 
         They fit ``order_space.sample``: a busy robot can only ``wait``.
         """
@@ -217,7 +217,7 @@ class TeamEnv(LemmaEnv):
 
 
 class TeamPlanEnv(TeamEnv):
-    """An order is a primitive, what to pick and where to put it."""
+    """An environment whose orders are a primitive, a pick and a place."""
 
     def _order_space(self) -> spaces.Dict:
         return spaces.Dict(
@@ -229,10 +229,10 @@ class TeamPlanEnv(TeamEnv):
         )
 
     def encode(self, *subtasks: SubTask) -> dict[str, dict[str, Any]]:
-        """Return the action that orders some sub-tasks; of none, that all wait.
+        """Return the action that orders some sub-tasks; without any, all robots wait.
 
         Raises:
-            InvalidActionError: There never is such an entity.
+            InvalidActionError: There is no such entity.
         """
         found = {}
         for subtask in subtasks:
@@ -246,10 +246,9 @@ class TeamPlanEnv(TeamEnv):
         return None if subtask.primitive is Primitive.STOP else subtask
 
     def valid_orders(self, robot: str) -> tuple[SubTask, ...]:
-        """Return the sub-tasks that a robot could be ordered now.
+        """Return the sub-tasks that are valid orders for a robot now.
 
-        They are those that can be grounded in the state that all that is under way
-        will leave behind.
+        They can be grounded in the state expected after all orders in progress.
         """
         team = self.team
         now = team.observe()
@@ -268,7 +267,7 @@ class TeamPlanEnv(TeamEnv):
 
 
 class TeamSkillEnv(TeamEnv):
-    """An order is a primitive and two poses; it begins at once."""
+    """An environment whose orders are a primitive and two poses, and begin at once."""
 
     def _order_space(self) -> spaces.Dict:
         return spaces.Dict(
@@ -282,7 +281,7 @@ class TeamSkillEnv(TeamEnv):
         """Return the action that orders some grounded sub-tasks, ``stop`` for None.
 
         Raises:
-            InvalidActionError: It is something else.
+            InvalidActionError: An argument is neither.
         """
         found = {}
         for subtask in subtasks:

@@ -1,4 +1,4 @@
-"""Orders that a free robot could be given: what plan-level masks are made of."""
+"""Valid orders of a free robot, from which plan-level masks are made."""
 
 from collections.abc import Iterator
 
@@ -18,9 +18,9 @@ def valid_options(
 
     Args:
         robot: Its name.
-        state: Where things are, or what all that is under way will leave behind
+        state: The present state, or the state expected after all orders in progress
             (:meth:`lemma.env.team.orders.Team.expected`).
-        grounder: Of the same scene.
+        grounder: Grounder of the same scene.
     """
     ends = (*state.poses, *state.spec.regions)
     for primitive in map(Primitive, primitive_names()):

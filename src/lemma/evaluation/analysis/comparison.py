@@ -1,4 +1,4 @@
-"""Two results on the same episodes, compared episode by episode."""
+"""Paired comparison of two results on the same episodes."""
 
 import math
 from collections import Counter
@@ -15,12 +15,12 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import in_order
 
 _SAME = ("split", "lemma")
-"""Fields that decide the episodes and the world, and not the policy."""
+"""Fields that determine the episodes and the simulation, not the policy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How two policies did on the same episodes."""
+    """Success of two policies on the same episodes."""
 
     episodes: int
     success_rates: tuple[float, float]
@@ -35,7 +35,8 @@ class Comparison:
     interval: tuple[float, float]
     """95 % interval of the difference (Newcombe, paired)."""
     p_value: float
-    """The p-value of McNemar's exact test that both are as good."""
+    """The p-value of McNemar's exact test, for the hypothesis of equal success
+    rates."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,12 @@ class Comparisons:
     """Two results on the episodes that both have."""
 
     by_kind: dict[str, dict[str, Comparison]]
-    """By kind of instructions, and then for ``"all"`` and by task, all strictly; and
-    for ``"lenient"``, all episodes once more, where both were played so."""
+    """By kind of instructions, and then by task and for ``"all"``, with strict success;
+    ``"lenient"`` is all episodes with lenient success, if both results have it."""
     common: int
-    """How many episodes both have."""
+    """Number of common episodes."""
     unpaired: tuple[int, int]
-    """How many only the first has, and only the second."""
+    """Numbers of episodes of the first alone and of the second alone."""
 
 
 def compare(first: Path, second: Path) -> Comparisons:
@@ -143,8 +144,8 @@ def paired_interval(
 ) -> tuple[float, float]:
     """Return Newcombe's interval of the difference of two paired rates, first - second.
 
-    It joins the Wilson intervals of the two rates by their correlation (Newcombe 1998,
-    method 10), so it stays within [-1, 1] and holds for small numbers.
+    It combines the Wilson intervals of the two rates by their correlation (Newcombe
+    1998, method 10), so it stays within [-1, 1] and is valid for small numbers.
 
     Args:
         both: Episodes that both policies solved.

@@ -1,6 +1,6 @@
-"""How well the robots of a team work together, counted from the lines of episodes.
+"""Measures of coordination between the robots, computed from the lines of episodes.
 
-All of it is of the strict episodes, unless it says *lenient*.
+All measures are over the strict episodes, unless they say *lenient*.
 
 ==================  ==================================================================
 makespan            simulated time until the episode ends, ``elapsed_s``. It is compared
@@ -56,21 +56,21 @@ class Coordination:
     touching: int
     """Number of episodes."""
     stops: int
-    """Episodes that a protective stop ended."""
+    """Episodes that ended with a protective stop."""
     refusals: int | None
-    """Sub-tasks in lenient play that their robots could not do; None if that was not
-    played."""
+    """Sub-tasks in lenient episodes that their robots could not do; None if there are
+    none."""
     lenient_timed_s: float
-    """As ``timed_s``, of the episodes that succeeded leniently."""
+    """As ``timed_s``, over the episodes with lenient success."""
     lenient_expert_s: float
 
 
 _COUNTED = ("doable", "able", "planned", "as_expert", "order_violations")
-"""Counts that stand in each line."""
+"""Counts in each line."""
 
 
 def coordination_of(rows: Sequence[Row], kind: str, task: str) -> Coordination:
-    """Sum the figures of episodes of one kind and task; at least one."""
+    """Sum the measures of one or more episodes of one kind and task."""
     figures = [row["coordination"] for row in rows]
     gaps = [each["clearance_mm"] for each in figures]
     clearances = [gap for gap in gaps if gap is not None]

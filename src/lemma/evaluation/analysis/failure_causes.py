@@ -1,13 +1,13 @@
-"""Why an episode failed: one cause, read off its line.
+"""The cause of an episode's failure, derived from its line.
 
 The expert was asked before every sub-task
 (:mod:`lemma.evaluation.run.expert_feedback`), and once more at the end, how many
-sub-tasks it would need from there. A sub-task is a *mistake* if that number never falls
-below what it was before it, in all the rest of the episode. So a sub-task that
-serves the goal is none, even if the expert would have chosen another, and neither is a
-sub-task that was made good later. The first mistake is the cause. A refused sub-task
-leaves the number unchanged, so a protective stop is a mistake; its cause says what was
-wrong with it.
+sub-tasks it would need from there. A sub-task is a *mistake* if, in the rest of the
+episode, that number never falls below its value before the sub-task. So a sub-task that
+serves the goal is no mistake, even if the expert would have chosen another, and neither
+is one whose harm was repaired later. The first mistake decides the cause. A refused
+sub-task leaves the number unchanged, so a protective stop is a mistake; its cause
+classifies the refused sub-task.
 """
 
 from collections.abc import Mapping
@@ -27,8 +27,8 @@ class Cause(StrEnum):
     """Causes of failure."""
 
     WRONG_ROBOT = "wrong_robot"
-    """The mistake is right but for its robot: with another one it is the expert's
-    sub-task, the next or a later one."""
+    """The mistake differs only in its robot from a sub-task of the expert's plan, the
+    next or a later one."""
     WRONG_ORDER = "wrong_order"
     """The mistake is a later sub-task of the expert's plan: it came too soon."""
     WRONG_PRIMITIVE = "wrong_primitive"
@@ -53,11 +53,11 @@ class Cause(StrEnum):
     dropped, collided, did not end. Also where nothing was left to do, and the goal does
     not hold at rest."""
     OUT_OF_TIME = "out_of_time"
-    """No mistake, or the time was over during the first one."""
+    """There is no mistake, or time ran out during the first one."""
     STOPPED_EARLY = "stopped_early"
-    """No mistake, and ``stop`` while there was something left to do."""
+    """There is no mistake, and ``stop`` came before the goal held."""
     THROWN = "thrown"
-    """An object flew, or moved on without a robot."""
+    """An object flew, or kept moving without a robot."""
     RULE = "rule"
     """The rule of the goal was broken."""
     UNTOUCHED = "untouched"
@@ -68,8 +68,8 @@ class Cause(StrEnum):
     MISPLACED = "misplaced"
     """Control level: such a cube was grasped, and the goal does not hold at the end."""
     POLICY_ERROR = "policy_error"
-    """The policy raised, hung, or answered what is no decision: its own fault, named in
-    the line."""
+    """The policy raised an exception, timed out, or returned an invalid decision; the
+    line has the details."""
 
 
 _OF_DEVIATION = {
@@ -103,7 +103,7 @@ def cause_of(row: Mapping[str, Any]) -> Cause | None:
 
 
 def _of_control(control: Mapping[str, Any]) -> Cause:
-    """Return what contacts and grasps tell."""
+    """Return the cause at control level, from contacts and grasps."""
     if control["fallen"]:
         return Cause.FELL
     if not control["touched"]:
@@ -113,7 +113,7 @@ def _of_control(control: Mapping[str, Any]) -> Cause:
 
 
 def mistake_of(row: Mapping[str, Any]) -> int | None:
-    """Return which sub-task is the first mistake, from 0; None if none is.
+    """Return the index of the first mistake among the sub-tasks; None without one.
 
     Args:
         row: A line of ``episodes.jsonl``.
@@ -148,4 +148,4 @@ _MISSED = (
     ),
     ("place", Cause.MISSED_PLACE, (Outcome.SUCCESS, Outcome.UNREACHABLE)),
 )
-"""Ends of a sub-task, with the outcomes that tell where no single pose is right."""
+"""Ends of a sub-task, with the outcomes that mean a miss if no single pose is right."""

@@ -19,11 +19,11 @@ class Cell:
     distractors: int
     episodes: int
     successes: int
-    """Strictly: nothing was tried that its robot could not do."""
+    """Strict successes: no robot was sent to an infeasible sub-task."""
     lenient_successes: int | None
-    """With what came after a protective stop; None if that was not played."""
+    """Successes including play after a protective stop; None if that was not played."""
     progress: float
-    """Sum over the episodes of the share of the stages that count at the end."""
+    """Sum over the episodes of the progress at the end."""
 
 
 @cache
@@ -37,7 +37,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     Raises:
         ValueError: No trials, or more successes than trials.
     """
-    # 0.65 s that a command without statistics does not spend.
+    # Import late: it takes 0.65 s, which commands without statistics save.
     from scipy.stats import binomtest  # noqa: PLC0415
 
     found = binomtest(successes, trials).proportion_ci(method="wilson")
@@ -65,7 +65,7 @@ class Rate:
 
 
 def rate_of(cells: Iterable[Cell]) -> Rate:
-    """Return the success in all episodes of some cells; at least one."""
+    """Return the success rate over the episodes of one or more cells."""
     listed = list(cells)
     episodes = sum(cell.episodes for cell in listed)
     return Rate(
@@ -76,7 +76,7 @@ def rate_of(cells: Iterable[Cell]) -> Rate:
 
 
 def rates_by(cells: Iterable[Cell], *columns: str) -> dict[tuple[str, ...], Rate]:
-    """Return the success for every combination of values, in order of appearance.
+    """Return the success rate for every combination of values, in order of appearance.
 
     Args:
         cells: Counted episodes.
@@ -90,7 +90,7 @@ def rates_by(cells: Iterable[Cell], *columns: str) -> dict[tuple[str, ...], Rate
 
 
 def leniently(cells: Iterable[Cell]) -> list[Cell]:
-    """Return cells whose successes are the lenient ones; none where one has none."""
+    """Return cells with lenient successes; an empty list if a cell has none."""
     found = []
     for cell in cells:
         if cell.lenient_successes is None:
@@ -100,12 +100,12 @@ def leniently(cells: Iterable[Cell]) -> list[Cell]:
 
 
 def mean_over_tasks(cells: Iterable[Cell]) -> float:
-    """Return the mean of the tasks' success rates, each counting the same."""
+    """Return the unweighted mean of the tasks' success rates."""
     return fmean(rate.success_rate for rate in rates_by(cells, "task").values())
 
 
 def rates_in_words(cells: Iterable[Cell]) -> dict[tuple[str, str], str]:
-    """Return successes of episodes in words, by kind and task."""
+    """Return the counts of successes as text, by kind and task."""
     won: Counter[tuple[str, str]] = Counter()
     played: Counter[tuple[str, str]] = Counter()
     for cell in cells:

@@ -1,4 +1,4 @@
-"""How far episodes came, in stages, and the verdicts on their first moves."""
+"""Progress of episodes in stages, and the verdicts on their first moves."""
 
 import math
 from collections import Counter
@@ -19,27 +19,27 @@ class Reached:
     task: str
     episodes: int
     progress: float
-    """Sum of the shares of the stages that count at the end."""
+    """Sum of the progress at the end."""
     furthest: float
-    """Sum of the largest shares that counted at any time."""
+    """Sum of the furthest progress."""
     moved: int
-    """Number in which a robot moved an object."""
+    """Number of episodes in which a robot moved an object."""
     understood: int
-    """Number whose first moved object and its place belong to the plan."""
+    """Number of episodes whose first moved object and its place belong to the plan."""
     allocated: int
-    """Number whose first object was moved by the robot of the plan."""
+    """Number of episodes whose first object was moved by the robot of the plan."""
     executed: int
-    """Number in which a sub-task of the plan was done with it."""
+    """Number of episodes in which a sub-task of the plan was completed with it."""
     stages: dict[str, int]
-    """How many came furthest to each stage: ``"2 lifted"``, with the number of the
-    sub-task from 1; ``""`` where none was reached."""
+    """Number of episodes by furthest stage: ``"2 lifted"``, with the number of the
+    sub-task from 1; ``""`` if no stage was reached."""
 
 
 def reached_by(rows: Sequence[Row], kind: str, task: str) -> Reached:
     """Count the episodes of one kind and task.
 
     Args:
-        rows: Their lines.
+        rows: Lines of episodes.
         kind: Kind of instructions.
         task: Name of the task.
     """

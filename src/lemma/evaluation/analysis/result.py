@@ -1,6 +1,6 @@
-"""Results that are small enough to be committed: counts, causes, where they come from.
+"""Results small enough to be committed: counts, causes and provenance.
 
-The same episodes give the same bytes: there is no clock in a result.
+The same episodes give the same bytes: a result has no wall-clock fields.
 """
 
 import hashlib
@@ -49,36 +49,36 @@ class Loss:
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """How far off the poses of one kind and task are, where it is defined."""
+    """Errors of the poses of one kind and task, where they are defined."""
 
     kind: str
     task: str
     end: str
     """``"pick"`` or ``"place"``."""
     poses: int
-    """Where the sub-task was the expert's."""
+    """Number of poses in sub-tasks that are the expert's."""
     median_mm: float
     missed: int
-    """Number of those that are more than 20 mm off."""
+    """Number of poses that are more than 20 mm off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """How often other goals held that controls of language asked for."""
+    """How often the other goals of language controls held."""
 
     kind: str
     task: str
     episodes: int
-    """Number whose sentence asked for another goal that the table allows."""
+    """Number of episodes whose sentence asked for another feasible goal."""
     held: int
-    """Number of those in which that goal held at the end."""
+    """Number of episodes in which that goal held at the end."""
 
 
 @dataclass(frozen=True, slots=True)
 class Planning:
     """Sums over the strict episodes of one kind of instructions and one task.
 
-    Whether the robots were well chosen stands in
+    For the choice of robots see
     :class:`~lemma.evaluation.analysis.coordination.Coordination`.
     """
 
@@ -86,15 +86,15 @@ class Planning:
     task: str
     episodes: int
     decisions: int
-    """Sub-tasks, ``stop``, and decisions that no answer came to."""
+    """Number of sub-tasks, ``stop`` decisions, and decisions without an answer."""
     calls: int
     """Requests to the model."""
     prompt_tokens: int
     completion_tokens: int
     invalid: dict[str, int]
-    """Answers that were no sub-task, by kind."""
+    """Invalid answers, by kind."""
     replans: int
-    """Decisions after a sub-task that was not carried out."""
+    """Number of decisions after a sub-task that was not carried out."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,11 @@ class Result:
     """Counts of the episodes of a split, played by one policy of one training seed."""
 
     about: dict[str, Any]
-    """Policy, split, horizon, versions and weights: what decides the result."""
+    """Policy, split, horizon, versions and weights, which determine the result."""
     command: str
-    """The command line that gives it."""
+    """The command line that produces it."""
     episodes_sha256: str
-    """Digest of the lines of the episodes without wall-clock fields."""
+    """SHA-256 of the episodes' lines without wall-clock fields."""
     cells: tuple[Cell, ...]
     losses: tuple[Loss, ...] = ()
     precisions: tuple[Precision, ...] = ()
@@ -116,20 +116,20 @@ class Result:
     planning: tuple[Planning, ...] = ()
     """Effort of planning; only for policies that count it."""
     teams: tuple[TeamScores, ...] = ()
-    """Use of time by task; only where robots act together or are a team."""
+    """Use of time by task; only for robots that act together and tasks for teams."""
     experiment: str = ""
-    """Name of the experiment it belongs to, if any."""
+    """Name of its experiment, if any."""
     version: str = field(default=RESULT_VERSION)
 
     @property
     def seed(self) -> int:
-        """The seed of the training; 0 where nothing was trained."""
+        """The training seed; 0 if nothing was trained."""
         return training_seed(self.about["weights"])
 
     def write(self, path: Path) -> None:
-        """Write it, the same bytes for the same result; a line for every entry.
+        """Write the result, with the same bytes for the same result.
 
-        Names of columns are written once: in each line they are most of a file.
+        Each entry is one line. Column names are written once, to keep the file small.
         """
         data = asdict(self)
         tables = {name: data.pop(name) for name in _TABLES}
@@ -148,7 +148,7 @@ _TABLES = (
     *("cells", "losses", "precisions", "coordination", "asked", "reached"),
     *("planning", "teams"),
 )
-"""Fields with an entry in each line; left out where there is none."""
+"""Fields that are tables; left out if empty."""
 
 
 def read_result(path: Path) -> Result:
@@ -176,7 +176,7 @@ def read_result(path: Path) -> Result:
 
 
 def _entries(table: Any) -> list[dict[str, Any]]:
-    """Return a table's rows by column; a list of entries was written formerly."""
+    """Return a table's rows as dictionaries; older files have a list of these."""
     if isinstance(table, list):
         return table
     columns = table["columns"]
@@ -187,7 +187,7 @@ def _check_counts(path: Path, result: Result) -> None:
     """Check that kinds are known, rates lie within [0, 1], and all losses have causes.
 
     Raises:
-        DatasetError: Not so.
+        DatasetError: A check fails.
     """
     failed: Counter[tuple[str, str]] = Counter()
     lost: Counter[tuple[str, str]] = Counter()
@@ -212,9 +212,9 @@ def _check_counts(path: Path, result: Result) -> None:
 
 
 def lines_of(result: Result, rows: Iterable[Row]) -> list[Row]:
-    """Return the lines that a result counts: the first ones of its kinds and tasks.
+    """Return the lines counted by a result: the first ones of its kinds and tasks.
 
-    A folder that was evaluated more than once holds more.
+    A folder that was evaluated more than once has further lines.
     """
     counted: Counter[tuple[str, str]] = Counter()
     for cell in result.cells:
@@ -223,8 +223,8 @@ def lines_of(result: Result, rows: Iterable[Row]) -> list[Row]:
 
 
 def counts(result: Result, rows: Sequence[Row]) -> bool:
-    """Whether lines are those that a result counts, all of them and no other."""
-    # Lines of other policies have other rates, mostly; a digest takes a while.
+    """Return True if lines are exactly those that a result counts."""
+    # Compare rates first: they mostly differ between policies, and a digest is slow.
     if rates_in_words(result.cells) != rates_in_words(cells_of(rows)):
         return False
     return _digest(sorted(rows, key=place_of)) == result.episodes_sha256
@@ -235,7 +235,7 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
 
     Args:
         result: The result.
-        rows: Lines beside it, of which it may count some.
+        rows: Lines beside the result, which may count only some of them.
         path: Where the result is.
         lines: Where the lines are.
 
@@ -245,7 +245,7 @@ def check_lines(result: Result, rows: Iterable[Row], path: Path, lines: Path) ->
     again = summarise(
         lines_of(result, rows), result.about, result.command, result.experiment
     )
-    if not result.teams:  # It may have been written before there were any.
+    if not result.teams:  # Older results have none.
         again = replace(again, teams=())
     if again.episodes_sha256 == result.episodes_sha256 and again == result:
         return
@@ -277,12 +277,12 @@ def summarise(
 
     Args:
         rows: Lines of ``episodes.jsonl``, in any order.
-        about: Settings of the evaluation that gave them, as in ``about.json``.
-        command: The command line that gives them.
+        about: Settings of the evaluation, as in ``about.json``.
+        command: The command line of the evaluation.
         experiment: Name of the experiment, if any.
 
     Returns:
-        The result, with nothing in it that depends on the machine or on the order.
+        The result, which does not depend on the machine or on the order.
     """
     ordered = sorted(rows, key=place_of)
     return Result(
@@ -306,7 +306,7 @@ def summarise(
 
 
 def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
-    """Count the successes of episodes, by all that tables ask for."""
+    """Count the successes of episodes, by all columns of tables."""
     groups: dict[tuple[str, str, str, int], list[Row]] = {}
     for row in rows:
         name = (*_question(row), row["team"], row["distractors"])
@@ -324,7 +324,7 @@ def cells_of(rows: Iterable[Row]) -> tuple[Cell, ...]:
 
 
 def _lenient_successes(rows: Sequence[Row]) -> int | None:
-    """Return how many episodes succeeded leniently; None if not all were played so."""
+    """Return the number of lenient successes; None if not all have that verdict."""
     if any(row["lenient"] is None for row in rows):
         return None
     return sum(bool(row["lenient"]["success"]) for row in rows)
@@ -335,12 +335,12 @@ def _question(row: Row) -> tuple[str, str]:
 
 
 def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]]]:
-    """Return rows by kind and task; they are in that order already."""
+    """Yield groups of rows by kind and task; rows are already in that order."""
     return [(name, list(listed)) for name, listed in groupby(rows, key=_question)]
 
 
 def _planning(rows: Iterable[Row]) -> Iterable[Planning]:
-    """Yield what decisions took, where somebody counted it."""
+    """Yield the planning effort, where the policy counted it."""
     for name, listed in _questions(rows):
         efforts = [row["planning"] for row in listed if row.get("planning")]
         if efforts:

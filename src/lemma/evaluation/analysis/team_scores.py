@@ -1,7 +1,7 @@
-"""How well teams use their time, counted from the lines of episodes.
+"""Scores of the use of time by teams, computed from the lines of episodes.
 
-Robots may act together or in turns: both are measured by the same definitions, which
-stand in ``docs/teams.md``. All of it is of the strict episodes.
+The same definitions, in ``docs/teams.md``, hold for robots that act together and in
+turns. All scores are over the strict episodes.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,8 +21,8 @@ from lemma.tasks.instance import OWN_SPLIT
 from lemma.tasks.names import SUITES, in_order
 
 CAUSES = ("waiting", "predecessor", "thinking", "no_work")
-"""Why a robot is idle: a sector that another one holds; an effect that its sub-task
-needs; a decision; nothing left to do."""
+"""Causes of idle time: waiting for a sector held by another robot; waiting for an
+effect that its sub-task needs; waiting for a decision; no work left."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class TeamScores:
     makespan_s: float | None
     """Mean over successes [s]; None where there is none."""
     over_oracle: float | None
-    """Sum of their makespans over the sum of their executed oracles; None where no
-    success has one."""
+    """Ratio of the sums of makespans and of executed oracles over successes; None if no
+    success has an executed oracle."""
     schedule_score: float | None
     """Mean over the episodes that have an executed oracle."""
     concurrency: float
-    """Robots that are busy, as a mean over the makespan, and over episodes."""
+    """Mean number of busy robots over the makespan, averaged over episodes."""
     idle: dict[str, float]
-    """Share of the robots' time, by :data:`CAUSES`; a mean over episodes."""
+    """Mean fraction of the robots' time over episodes, by :data:`CAUSES`."""
     clearance_mm: float | None
     """Smallest distance of two arms in any episode [mm]."""
 
@@ -51,9 +51,9 @@ def team_scores(rows: Iterable[Row]) -> tuple[TeamScores, ...]:
     """Return the scores of each task whose robots act together or are a team.
 
     Args:
-        rows: Lines of ``episodes.jsonl``, of one policy. Those of a policy at control
-            level, of instances of one's own, and of turns in other suites than
-            ``teams`` are left out.
+        rows: Lines of ``episodes.jsonl`` of one policy. Skipped are lines of policies
+            at control level, of user-defined instances, and of turns in other suites
+            than ``teams``.
     """
     wanted = [row for row in rows if _is_team(row)]
     return tuple(
