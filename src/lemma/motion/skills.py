@@ -68,6 +68,10 @@ class SkillRunner:
         self.leaving = Leaving(arms, self.reservations)
         self.staying = StayingArms(arms, self.reservations, self._obstacles)
 
+    def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
+        """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
+        self._obstacles.feel(arm, target, held)
+
     def mind_others(self, busy: tuple[str, ...]) -> None:
         """Let those at work feel where others are now, and not wait for ever.
 
@@ -76,7 +80,7 @@ class SkillRunner:
         """
         for name in busy:
             # Of any arm, for a sub-task that has begun in this tick as well.
-            self._obstacles.feel(self.arms[name], *self._obstacles.felt[name])
+            self.feel(self.arms[name], *self._obstacles.felt[name])
         # By the clock, so that a restored state goes on in the same way.
         if round(self.scene.time_s / _TICK_S) % _MIND_TICKS == 0:
             self.reservations.follow()
@@ -144,7 +148,7 @@ class SkillRunner:
             yield from self._put_away(arm)
         self.reservations.ask_for_home(subtask.robot)
         if subtask.primitive not in _STAYS or not result.ok:
-            self._obstacles.feel(arm, None, None)
+            self.feel(arm, None, None)
             yield from Moves(arm).park()
         return SkillResult(
             result.outcome, result.explanation, self.scene.time_s - start
@@ -172,7 +176,7 @@ class SkillRunner:
         low = stand_at(subtask.pick, top_m + _HOVER_M)
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        self._obstacles.feel(arm, subtask.pick, found)
+        self.feel(arm, subtask.pick, found)
         arm.opening_m = FINGER_OPENING_M
         yield from moves.to(over, fly_by=True)
         yield from moves.lower(low)
@@ -186,7 +190,7 @@ class SkillRunner:
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         for pose in (low, over):
             moves.check_reach(pose, "pick")
-        self._obstacles.feel(arm, subtask.pick, held)
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, grip_m + _LIFT_M)
         yield from moves.to(stand_at(subtask.pick, grip_m + _LIFT_M))
@@ -211,7 +215,7 @@ class SkillRunner:
             moves.check_reach(pose, "place")
         name, stick = arm.robot.name, held == STICK
         alone = self.reservations.is_alone(name)
-        self._obstacles.feel(arm, subtask.pick, held)
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.rise(low, over[2] - FLY_BY_M)
         moves.check_held()
@@ -225,7 +229,7 @@ class SkillRunner:
             moves.check_held()
             put = self._put_down(subtask.place, held, grip_m)
             over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
-        self._obstacles.feel(arm, subtask.place, held)
+        self.feel(arm, subtask.place, held)
         yield from moves.to(over_put, fly_by=True)
         moves.check_held()
         yield from moves.lower(put, contact=True)
@@ -249,7 +253,7 @@ class SkillRunner:
         for pose in (low, over):
             moves.check_reach(pose, "pick")
         moves.check_reach(end, "place")
-        self._obstacles.feel(arm, subtask.pick, held)
+        self.feel(arm, subtask.pick, held)
         yield from moves.grasp(over, low)
         yield from moves.to(start, contact=True)
         moves.check_held()

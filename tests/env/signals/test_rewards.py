@@ -30,7 +30,7 @@ def make(task: str = "stack", **options: Any) -> LemmaEnv:
 class Path:
     """An episode that goes through given potentials, as far as a reward can tell."""
 
-    stopped = is_over = is_success = is_thrown = False
+    stopped = is_over = is_success = has_failed = False
 
     def __init__(self, potentials: list[float]) -> None:
         self._left = iter(potentials)
