@@ -49,9 +49,9 @@ gripper points; zeros when it points down.
 object's grasp position [m].
 ``object_turn``: by how much the gripper is to be turned about the vertical,
 counterclockwise seen from above, for its fingers to close along the object [rad].
-``place_forward``, ``place_left``, ``place_up``: from the object to its place [m]: on the
-goal's bottom; the missing height, if it is to be lifted; zeros if a hand is to be held
-over it.
+``place_forward``, ``place_left``, ``place_up``: from the object to its place [m]: on
+the goal's bottom; the missing height, if it is to be lifted; zeros if a hand is to be
+held over it.
 """
 
 
