@@ -29,7 +29,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 from lemma.viz.replay import replay_attack
 
-QUICK = ("push_tower", "greedy_skills", "out_of_order")
+QUICK = ("greedy_skills", "out_of_order")
 """One attack of most families; `drag_home` has a test of its own, others are slow."""
 TEAM = tuple(name for name in ATTACKS if ATTACKS[name].team)
 

@@ -99,6 +99,7 @@ def test_it_is_filmed_step_by_step(file: Path) -> None:
     assert np.abs(after - before).max() > 0.02
 
 
+@pytest.mark.slow
 def test_frames_are_those_of_a_lerobot_data_set(file: Path) -> None:
     style = Style(fps=10, width_px=64, height_px=48, depth=False)
     found = list(frames(read_record(file), style))

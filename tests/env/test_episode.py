@@ -311,6 +311,7 @@ def test_busy_times_and_durations_add_up(task: str, team: str) -> None:
     assert starts == pytest.approx([sum(durations[:k]) for k in range(len(starts))])
 
 
+@pytest.mark.slow
 def test_an_expert_out_of_time_is_cut_off() -> None:
     instance = first_instance("hook_stack", "ur5+ur10")
     episode = Episode(instance, horizon_s=20.0)

@@ -213,6 +213,7 @@ def test_a_stick_kicked_aside_is_prepared_again(task: str) -> None:
     assert expert.replans >= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", slow_but(["poke", "hook"], "hook"))
 def test_a_cube_pushed_out_of_reach_again_is_dragged_again(task: str) -> None:
     name = carried(task, 1)

@@ -7,6 +7,7 @@ import lemma
 from lemma.core.errors import InvalidConfigError
 
 
+@pytest.mark.slow
 def test_the_three_line_loop_solves_an_instance_at_control_level() -> None:
     env = gymnasium.make(
         "lemma/Pass-v0", control="joint_position", split="val", control_hz=25.0

@@ -147,6 +147,7 @@ def test_this_machine_has_one_that_works() -> None:
     assert backend.renderer
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_rendering_prints_nothing_and_leaves_the_environment_alone() -> None:
     code = "import os; before = dict(os.environ)\nassert picture()\n"

@@ -37,6 +37,7 @@ class Counts:
         return Actions(self.rows[numbers], done + 3)
 
 
+@pytest.mark.slow
 def test_a_served_policy_is_the_same_policy() -> None:
     rows = expert_commands("pass", "test", 0)
     here, there = Counts(rows), Counts(rows)

@@ -48,6 +48,7 @@ def test_expert_acts_as_it_does_alone(play: TeamPlay) -> None:
     assert {Cause.BUSY, Cause.REGION, Cause.PREDECESSOR} <= {s.cause for s in spans}
 
 
+@pytest.mark.slow
 def test_robot_is_taken_ordered_and_handed_back_while_others_move(
     play: TeamPlay,
 ) -> None:

@@ -86,6 +86,7 @@ def choose_option(page: Page, name: str, value: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_asks_for_nothing(page: Page) -> None:
     assert not [e for e in page.events if e["method"] == "Runtime.exceptionThrown"]
     asked = [

@@ -181,6 +181,7 @@ def test_forms_that_show_what_was_done_are_refused(tmp_path: Path) -> None:
         write_dataset(LeRobotConfig(source=order), Serial())
 
 
+@pytest.mark.slow
 def test_keyframes_hold_labels_and_what_was_executed(tmp_path: Path) -> None:
     order = RenderConfig(recipe=perturbed_recipe(), out=tmp_path)
     render(order, KeyframeForm(), Serial())

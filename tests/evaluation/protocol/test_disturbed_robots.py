@@ -52,6 +52,7 @@ def test_one_robot_is_slow_and_one_stops() -> None:
     assert still == list(range(still[0], still[0] + 20))
 
 
+@pytest.mark.slow
 def test_a_disturbed_episode_is_played_again_to_the_bit(tmp_path: Path) -> None:
     config = EvaluationConfig(
         out=tmp_path,

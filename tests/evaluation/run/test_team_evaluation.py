@@ -211,6 +211,7 @@ class Talking(RobotPolicy):
         return Choice(todo[0], f"{given.robot} goes")
 
 
+@pytest.mark.slow
 def test_robots_decide_alone_and_hear_each_other() -> None:
     policy = Talking()
     (row,) = lemma.evaluate(policy, level="plan", tasks="relay", episodes=1).rows

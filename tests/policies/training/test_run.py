@@ -12,6 +12,7 @@ from lemma.dataset.rendered.render import RenderConfig, render
 from lemma.policies.training.run import check_data
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_the_digest_of_data_is_of_what_decides_their_bits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
