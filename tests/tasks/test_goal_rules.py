@@ -80,8 +80,8 @@ def test_a_sentence_says_one_rule(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", RULES)
 def test_the_planner_keeps_the_rule_and_would_not_have_to(kind: str) -> None:
-    free = 0
-    for one in of_kind(kind)[:3]:
+    free, tables = 0, of_kind(kind)[: 8 if kind == "after" else 3]
+    for one in tables:
         now = SymbolicState.observe(Scene(one.scene))
         grounder = GeometricGrounder(one.scene)
         plan = find_plan(now, one.goal, grounder)
@@ -103,7 +103,8 @@ def test_the_planner_keeps_the_rule_and_would_not_have_to(kind: str) -> None:
         needs = predecessors(plan.subtasks, regions, one.goal.rule)
         more = needs != predecessors(plan.subtasks, regions)
         assert more == (kind == "after")
-    assert free >= (0 if kind == "after" else 3)
+    # Of two orders, the planner takes one by chance where the rule does not ask.
+    assert free >= (1 if kind == "after" else len(tables))
 
 
 def test_nothing_but_the_sentence_tells_who_must_not_act() -> None:

@@ -35,8 +35,7 @@ def needed(
         objects: Everything on the table.
         goal: The goal, of things that lie on others.
     """
-    excluded = goal.rule.robot if goal.rule is not None else None
-    team = [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
+    team = _free_to_act(territory, goal)
     return tuple(
         absent
         for absent in team
@@ -97,10 +96,14 @@ def lack_of(
         objects: Everything on the table.
         goal: The goal, of things that lie on others.
     """
-    excluded = goal.rule.robot if goal.rule is not None else None
-    team = [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
-    whole = _Coalition(territory, objects, team)
+    whole = _Coalition(territory, objects, _free_to_act(territory, goal))
     return next(filter(None, map(whole.lack, goal.placements)), None)
+
+
+def _free_to_act(territory: Territory, goal: Goal) -> list[int]:
+    """Return the robots of a team that the rule of a goal does not exclude."""
+    excluded = goal.rule.robot if goal.rule is not None else None
+    return [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
 
 
 class _Coalition:
