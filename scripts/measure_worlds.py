@@ -60,13 +60,14 @@ def play(instance: Any) -> Played:
     episode = Episode(instance)
     scene = episode.simulation.scene
     played = Played(episode, scene.data.qpos.copy())
-    noted = scene.coasting.note
+    simulation = episode.simulation
+    noted = simulation.note
 
     def note() -> None:
         played.note()
         noted()
 
-    scene.coasting.note = note  # type: ignore[method-assign]
+    simulation.note = note
     list(lemma.solve(episode, lemma.Expert(scene, episode.instance.goal)))
     return played
 
