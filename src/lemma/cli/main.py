@@ -30,7 +30,7 @@ called, and when it is asked for help: what all of them need takes seconds to im
 """
 
 _DESCRIPTION = (
-    "LEMMA Bench: two robot arms, a table, and instructions that neither arm can "
+    "LEMMA Bench: two to four robot arms, a table, and instructions that no arm can "
     "follow alone."
 )
 INTERRUPTED = 130

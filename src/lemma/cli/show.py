@@ -33,5 +33,7 @@ def show(
     print_named(*(("problem", each) for each in problems(instance)), style="yellow")
     goal = " and ".join(say_pair(top, bottom) for top, bottom in instance.goal.pairs)
     print_named(("goal", goal))
+    if (rule := instance.goal.rule) is not None:
+        print_named(("rule", " ".join((rule.kind, *rule.names))))
     print_named(("picture", path), style="bold")
     return 0

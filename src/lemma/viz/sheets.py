@@ -47,7 +47,7 @@ _FOOT_TEXT_PX = 20
 _MOST_COLUMNS = 3
 _FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 _MAP_TITLE = (
-    "Top-down map of both cameras: works (solid), could touch (dashed), shared region "
+    "Top-down map of all cameras: works (solid), could touch (dashed), shared region "
     "(tinted), goal (arrows)"
 )
 
