@@ -206,16 +206,32 @@ class Simulation:
     ) -> None:
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
-        if subtask.robot in self._running:
-            raise InvalidActionError(
-                f"{subtask.robot} is busy. Only a free robot can begin a sub-task."
+        joint = self._skills.pair_up(subtask)
+        parts = {subtask.robot: subtask} if joint is None else joint.subtasks
+        for robot in parts:
+            if robot in self._running:
+                raise InvalidActionError(
+                    f"{robot} is busy. Only a free robot can begin a sub-task."
+                )
+        for robot, part in parts.items():
+            self._skills.staying.work(robot)
+            self._skills.leaving.note(robot, leaving)
+            if joint is not None:
+                self._skills.joints[robot] = joint
+            self._running[robot] = Running(
+                part,
+                self._skills.run(part),
+                self.time_s,
+                until_s,
+                self.scene.fallen,
+                partner="" if joint is None else joint.partner_of(robot),
+                leads=part is subtask,
             )
-        self._skills.staying.work(subtask.robot)
-        self._skills.leaving.note(subtask.robot, leaving)
-        skill = self._skills.run(subtask)
-        self._running[subtask.robot] = Running(
-            subtask, skill, self.time_s, until_s, self.scene.fallen
-        )
+
+    def partner_of(self, subtask: GroundedSubTask) -> str:
+        """Return the robot that a sub-task takes besides its own; empty for none."""
+        joint = self._skills.pair_up(subtask)
+        return "" if joint is None else joint.partner_of(subtask.robot)
 
     @property
     def busy(self) -> dict[str, GroundedSubTask]:
@@ -243,16 +259,19 @@ class Simulation:
                 self.tick((*self.busy, *self._mind_others()))
             except BaseException:
                 # An observer may break everything off by raising something.
-                for name in tuple(self._running):
-                    self._free(name)
+                while self._running:
+                    self._free(next(iter(self._running)))
                 raise
         return ()
 
     def _keep_pace(self, robot: str) -> float:
         """Set and return how fast a busy robot is now."""
-        arm = self.arms[robot]
+        arm, running = self.arms[robot], self._running[robot]
         if self.pace is not None:
-            arm.pace = self.pace(robot, self._running[robot].start_s, self.time_s)
+            pair = filter(None, (robot, running.partner))
+            # Two that carry one thing are as slow as the slower one.
+            start_s, now_s = running.start_s, self.time_s
+            arm.pace = min(self.pace(name, start_s, now_s) for name in pair)
         return arm.pace
 
     def _mind_others(self) -> tuple[str, ...]:
@@ -266,21 +285,41 @@ class Simulation:
         """Let every skill look at the present state once; free robots that are done."""
         ended = []
         for name in self.busy:
-            running, result = self._running[name], None
+            if name not in self._running:
+                # It ended with its partner.
+                continue
+            running = self._running[name]
             try:
                 if running.looks(self.time_s, self._keep_pace(name)):
                     next(running.skill)
             except StopIteration as done:
-                result = done.value
+                running.result = running.result or done.value
             except BaseException:
                 self._free(name)
                 raise
-            result = result or self._broken_off(running)
+            result = self._outcome(running) or self._broken_off(running)
             if result is not None:
-                self._free(name)
-                result = self._with_losses(result, running.fallen)
-                ended.append(Ended(running.subtask, result, running.start_s))
+                ended.append(self._end(name, result))
         return tuple(ended)
+
+    def _outcome(self, running: Running) -> SkillResult | None:
+        """Return how a sub-task went that is over, for all of its robots."""
+        mine, theirs = running.result, self._running.get(running.partner)
+        if theirs is None or mine is None or theirs.result is None:
+            return mine if theirs is None else None
+        first = running if running.leads else theirs
+        said = next((r for r in (mine, theirs.result) if not r.ok), mine)
+        took_s = self.time_s - first.start_s
+        return SkillResult(said.outcome, said.explanation, took_s)
+
+    def _end(self, robot: str, result: SkillResult) -> Ended:
+        """Free a robot, and its partner, and return what has ended."""
+        running = self._running[robot]
+        if not running.leads:
+            running = self._running[running.partner]
+        self._free(robot)
+        result = self._with_losses(result, running.fallen)
+        return Ended(running.subtask, result, running.start_s)
 
     def _broken_off(self, running: Running) -> SkillResult | None:
         """Return how a sub-task ends that must not go on, None if it may."""
@@ -296,8 +335,11 @@ class Simulation:
         return None
 
     def _free(self, robot: str) -> None:
-        """End what a robot does, and count the time it took."""
+        """End what a robot does, and its partner; count the time it took."""
         running = self._running.pop(robot)
+        if running.partner in self._running:
+            self._free(running.partner)
+        self._skills.joints.pop(robot, None)
         running.skill.close()
         self.arms[robot].pace = 1.0
         self._skills.staying.leave(robot)
@@ -365,6 +407,7 @@ class Simulation:
         for running in self._running.values():
             running.skill.close()
         self._running.clear()
+        self._skills.joints.clear()
         self._skills.staying.clear()
         self.reservations.clear(snapshot.waiting)
         self.scene.restore(snapshot.physics)

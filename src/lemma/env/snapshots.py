@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from lemma.core.poses import FloatArray
+from lemma.motion.outcome import SkillResult
 from lemma.motion.reservations import WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill
@@ -61,6 +62,12 @@ class Running:
     """Objects that had fallen off the table before it began."""
     looked_s: float = -math.inf
     """Simulated time at which the skill last looked at the world [s]."""
+    partner: str = ""
+    """The other robot of a joint sub-task."""
+    leads: bool = True
+    """Whether the sub-task was given to this robot; False for a partner."""
+    result: SkillResult | None = None
+    """How it ended, while its partner is still at work."""
     due: float = 1.0
     """Looks that it has not made yet; a slow robot's skill looks less often."""
 

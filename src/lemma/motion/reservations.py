@@ -39,6 +39,8 @@ BEYOND_M = 0.12
 """Kept free beyond the hand."""
 BEYOND_STICK_M = 0.85
 """The same for a hand that holds the stick."""
+BEYOND_HANDLE_M = 0.36
+"""The same for a hand at one end of what two robots carry: up to its middle."""
 PATIENCE_S = 0.5
 """A circle of arms that wait for each other is broken after this."""
 LONGEST_WAIT_S = 60.0
@@ -176,13 +178,46 @@ class Reservations:
         self._holders[robot] = _Holder(cells, stops, beyond)
         return True
 
-    def _holders_of(self, cells: Cells, but: str) -> tuple[str, ...]:
+    def ask_together(self, goals: Mapping[str, Sequence[Pose2]]) -> bool:
+        """Reserve what arms sweep that carry one thing: the sectors of all, or none.
+
+        Sectors of these arms may overlap: one clock leads them all.
+
+        Args:
+            goals: Where each will work, by robot; see :meth:`ask`.
+
+        Returns:
+            Whether all have their sectors. If not, :attr:`waits` says for whom the
+            first one waits.
+        """
+        leader, wanted = next(iter(goals)), dict[str, _Holder]()
+        for robot, at in goals.items():
+            stops, cells = self._stops(robot, at), np.ones(_CELLS, np.bool_)
+            self._clip(robot, stops, BEYOND_HANDLE_M, cells)
+            wanted[robot] = _Holder(cells, stops, BEYOND_HANDLE_M)
+        cells = np.logical_or.reduce([one.cells for one in wanted.values()])
+        holders = self._holders_of(cells, *goals)
+        if holders:
+            wait = self.waits.setdefault(
+                leader, Wait(self._scene.time_s, holders, cells)
+            )
+            wait.holders = holders
+            return False
+        self._end_wait(leader)
+        self._holders |= wanted
+        return True
+
+    def _holders_of(self, cells: Cells, *but: str) -> tuple[str, ...]:
         """Return the other robots that hold some of these cells."""
         return tuple(
             name
             for name, other in self._holders.items()
-            if name != but and (cells & other.cells).any()
+            if name not in but and (cells & other.cells).any()
         )
+
+    def holds(self, robot: str) -> bool:
+        """Whether a robot holds a sector."""
+        return robot in self._holders
 
     def is_going_home(self, robot: str) -> bool:
         """Whether an arm has no more work in its sub-task, and does not wait."""

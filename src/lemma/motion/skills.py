@@ -9,6 +9,7 @@ happened.
 import math
 from collections.abc import Callable, Generator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2, wrap
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion, largest_turn
+from lemma.motion.joint import Hold, Joint, pair_up
 from lemma.motion.leaving import Leaving
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand, between
 from lemma.motion.obstacles import Obstacles
@@ -30,7 +32,7 @@ from lemma.scene.objects.kind import Grasp
 from lemma.scene.objects.stick import STICK_GRASP_HEIGHT_M
 from lemma.scene.spec import RobotPlacement
 from lemma.tasks.drags import withdrawn
-from lemma.tasks.subtask import GroundedSubTask, Primitive
+from lemma.tasks.subtask import JOINT, GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]
 
@@ -67,6 +69,8 @@ class SkillRunner:
         self._obstacles = Obstacles(arms)
         self.leaving = Leaving(arms, self.reservations)
         self.staying = StayingArms(arms, self.reservations, self._obstacles)
+        self.joints: dict[str, Joint] = {}
+        """Joint sub-tasks under way, by each of their robots."""
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
         """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
@@ -87,6 +91,11 @@ class SkillRunner:
         if self.reservations.waits:
             self.reservations.judge(busy)
 
+    def pair_up(self, subtask: GroundedSubTask) -> Joint | None:
+        """Return who carries out a joint sub-task, and how; see :func:`.pair_up`."""
+        thing = self.surface(subtask.pick)[1] if subtask.primitive in JOINT else None
+        return pair_up(subtask, self.scene, thing)
+
     def _enter(
         self, arm: ArmMotion, *goals: Pose2, stick: bool
     ) -> Generator[None, None, bool]:
@@ -95,8 +104,19 @@ class SkillRunner:
         Raises:
             SkillFailure: Robots wait for each other.
         """
+        name, table = arm.robot.name, self.reservations
+        return (yield from self._wait(arm, lambda: table.ask(name, goals, stick=stick)))
+
+    def _wait(
+        self, arm: ArmMotion, ask: Callable[[], bool]
+    ) -> Generator[None, None, bool]:
+        """Wait until an arm has the sectors that it asks for; whether it waited.
+
+        Raises:
+            SkillFailure: Robots wait for each other.
+        """
         name, table, since = arm.robot.name, self.reservations, self.scene.time_s
-        while not table.ask(name, goals, stick=stick):
+        while not ask():
             wait = table.waits[name]
             if wait.verdict is Verdict.FAIL:
                 raise SkillFailure(
@@ -156,6 +176,8 @@ class SkillRunner:
 
     def _begin(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Reserve the first stage; all of a sub-task that does not ask on its way."""
+        if subtask.primitive in JOINT:
+            return
         stick = self.surface(subtask.pick)[1] == STICK
         asks = SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare)
         goals = (subtask.pick,) if asks else (subtask.pick, subtask.place)
@@ -195,6 +217,48 @@ class SkillRunner:
         yield from moves.rise(low, grip_m + _LIFT_M)
         yield from moves.to(stand_at(subtask.pick, grip_m + _LIFT_M))
         moves.check_held()
+
+    def carry(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+        """Carry what has two handles with a partner, which does the same."""
+        joint = self.joints.get(arm.robot.name)
+        if joint is None:
+            at = f"({subtask.pick.x:.3f}, {subtask.pick.y:.3f})"
+            raise SkillFailure(
+                Outcome.INVALID,
+                f"{subtask.primitive} takes two robots and a thing with two handles, "
+                f"and there is no handle at {at}.",
+            )
+        yield from joint.share(self._carry_together(arm, joint))
+
+    def _carry_together(self, arm: ArmMotion, joint: Joint) -> Motion:
+        name, scene = arm.robot.name, self.scene
+        if self.reservations.holds(name):
+            # Who waits holds nothing, and so is in nobody's way for ever.
+            yield from self.staying.go_home(arm)
+            self.reservations.give_up(name)
+        yield from joint.meet(name, scene)
+        if name == joint.leader:
+            goals = {n: (s.pick, s.place) for n, s in joint.subtasks.items()}
+            ask = partial(self.reservations.ask_together, goals)
+            yield from self._wait(arm, ask)
+        yield from joint.meet(name, scene)
+        hold = Hold(arm, joint, self._support_m(joint))
+        hold.check_reach()
+        self.feel(arm, hold.subtask.pick, joint.thing)
+        yield from hold.grasp()
+        yield from joint.meet(name, scene)
+        self.feel(arm, hold.subtask.place, joint.thing)
+        yield from hold.follow()
+        yield from joint.meet(name, scene)
+        yield from hold.release()
+
+    def _support_m(self, joint: Joint) -> float:
+        """Return the height of what a carried thing shall be put on [m]."""
+        body, rest_m = self.scene.model.body(joint.thing).id, joint.carried.rest_m
+        return max(
+            self.surface(joint.end @ Pose2(side * rest_m, 0.0), exclude=body)[0]
+            for side in (-1.0, 1.0)
+        )
 
     def prepare(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Move the stick to where it is used."""
@@ -351,6 +415,7 @@ SKILLS.add(Primitive.PREPOKE, SkillRunner.prepare)
 SKILLS.add(Primitive.POKE, SkillRunner.drag)
 SKILLS.add(Primitive.REACH, SkillRunner.reach)
 SKILLS.add(Primitive.LIFT, SkillRunner.lift)
+SKILLS.add(Primitive.CARRY, SkillRunner.carry)
 _STAYS = (Primitive.REACH, Primitive.LIFT)
 """The arm stays where it is afterwards, with what it holds."""
 

@@ -55,7 +55,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
         add_camera(world, f"{name}/camera", pose, fovy)
         _set_actuation(world, name, ARMS[robot.arm], actuation)
     for placed in spec.objects:
-        add_object(world, placed.entity, placed.pose)
+        add_object(world, placed.entity, placed.pose, spec.rests_m(placed))
     return world.compile()
 
 

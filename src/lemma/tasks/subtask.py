@@ -12,8 +12,8 @@ from lemma.core.poses import Pose2
 class Primitive(StrEnum):
     """A primitive.
 
-    The members are the paper's six (section IV) and two of the ladder, which action
-    spaces and trained weights number in this order. ``Primitive("push")`` also finds
+    The members are the paper's six (section IV), two of the ladder and one of teams,
+    which action spaces and trained weights number in this order. ``Primitive("push")`` also finds
     what users have added to :data:`lemma.planning.primitives.PRIMITIVES`.
     """
 
@@ -33,6 +33,8 @@ class Primitive(StrEnum):
     """Hold an open hand over something, and stay there."""
     LIFT = "lift"
     """Pick something up, and stay there with it."""
+    CARRY = "carry"
+    """Carry something by one handle, while another robot has the other one."""
 
     @classmethod
     def _missing_(cls, value: object) -> "Primitive":
@@ -133,6 +135,8 @@ class SubTask:
 
 
 STOP = SubTask("", Primitive.STOP)
+JOINT = (Primitive.CARRY,)
+"""Sub-tasks of one robot that take a second one, its partner, as well."""
 PAPER_PRIMITIVES = tuple(Primitive)[:6]
 """The six of the paper; heads of trained models have one number for each."""
 

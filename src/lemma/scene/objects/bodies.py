@@ -30,8 +30,10 @@ def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
-def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
-    """Add one object to the world body, lying on the table.
+def add_object(
+    spec: mujoco.MjSpec, entity: Entity, pose: Pose2, height_m: float = 0.0
+) -> mujoco.MjsBody:
+    """Add one object to the world body, lying on the table or on a tray.
 
     An object that is not fixed to the table is a free body with a joint of its name.
 
@@ -39,6 +41,7 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
         spec: The scene that is being built, with angles in radians.
         entity: The entity.
         pose: Where it lies.
+        height_m: Of what it lies on above the table [m].
 
     Returns:
         Its body, which has the entity's name.
@@ -46,7 +49,7 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
     kind, name = entity.kind, entity.name
     body = spec.worldbody.add_body(
         name=name,
-        pos=[pose.x, pose.y, kind.origin_m],
+        pos=[pose.x, pose.y, height_m + kind.origin_m],
         quat=resting_quaternion(pose.yaw),
     )
     if not kind.fixed:

@@ -103,6 +103,17 @@ class Grasp:
     """Where the gripper closes, in the object's frame."""
 
 
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """How two grippers that point down carry an object at once, one at either end."""
+
+    handles: tuple[Grasp, Grasp]
+    """How each holds it."""
+    rest_m: float
+    """From its middle to where it rests on what it is put on, to both sides along x
+    [m]."""
+
+
 Builder = Callable[["mujoco.MjSpec", "mujoco.MjsBody", str], None]
 """Adds what parts cannot say to an object's body: the scene being built, the body, and
 the object's name, with which every name that is given must begin."""
@@ -127,6 +138,9 @@ class ObjectKind:
     color: Rgba | None = None
     """Color of a kind of which there is one in a scene, called by the kind's name
     alone; None where it comes in every color of the palette."""
+    task: str = ""
+    """The task whose tables alone have it, and which alone numbers it; empty for what
+    may be on any table."""
     fixed: bool = False
     """Whether it is part of the table."""
     tool: bool = False
@@ -146,6 +160,8 @@ class ObjectKind:
     room for fingers."""
     grasp: Grasp | None = None
     """How it is held; None where it cannot be."""
+    carried: Carried | None = None
+    """How two robots carry it together; None for what one hand holds."""
     tops: tuple[Point, ...] = (_UP,)
     """Unit vectors in its frame of which one points up when it stands on a face: of a
     box six, of a cylinder two."""
