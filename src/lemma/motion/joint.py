@@ -138,13 +138,26 @@ def pair_up(
     )
     if subtask.pick.distance(mine) > _HANDLE_M:
         return None
-    others = [robot for robot in scene.robots if robot.name != subtask.robot]
-    partner = min(others, key=lambda robot: robot.placement.base.distance(other))
+    bases = {robot.name: robot.placement.base for robot in scene.robots}
+    partner = nearest_robot(bases, other, but=subtask.robot)
+    assert partner is not None
     end = subtask.place @ subtask.pick.inverse() @ start
     theirs = GroundedSubTask(
-        partner.name, subtask.primitive, other, end @ start.inverse() @ other
+        partner, subtask.primitive, other, end @ start.inverse() @ other
     )
-    return Joint(thing, {subtask.robot: subtask, partner.name: theirs}, start, end)
+    return Joint(thing, {subtask.robot: subtask, partner: theirs}, start, end)
+
+
+def nearest_robot(bases: Mapping[str, Pose2], at: Pose2, but: str) -> str | None:
+    """Return the robot that stands nearest to a place; None if there is no other.
+
+    Args:
+        bases: Of all robots, by name.
+        at: The place.
+        but: A robot that is left out.
+    """
+    others = [name for name in bases if name != but]
+    return min(others, key=lambda name: bases[name].distance(at), default=None)
 
 
 def turned_for(arm: ArmMotion, grip: Pose2, at: Pose2) -> Pose2:

@@ -160,6 +160,8 @@ class GroundedOption:
     """tau: predicted time [s]."""
     reluctance_s: float = 0.0
     """Time that the choice between plans adds to it [s]."""
+    partner: str = ""
+    """The other robot of a joint sub-task, which it takes as well; empty for none."""
 
 
 class SceneGeometry:

@@ -31,8 +31,8 @@ def rung_task(rung: str, degree: str) -> str:
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
 """The 24 tasks of the suite ``ladder``; four of them are of the suite ``lemma``."""
-FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange")
-"""The families of the suite ``teams``, for three and four robots."""
+FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange", "carry")
+"""The families of the suite ``teams``, for two to four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """Sets of tasks with frozen lists, by name."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))

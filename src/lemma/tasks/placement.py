@@ -8,6 +8,7 @@ is found, the whole attempt is given up and a new one begins. Zones are those of
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,9 +38,10 @@ from lemma.tasks.drags import (
 )
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.teams.coalitions import is_carried, needed
 from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
+_ROUNDED_M = 2e-4
 _DRAWS = 2048
 """Positions that are drawn at once."""
 _ROUNDS = 4
@@ -145,6 +147,37 @@ class ObjectPlacer:
         self.objects.append(placed)
         self._zones[placed.name] = wanted
         return placed.name
+
+    def load(self, tray: str, along_m: float) -> str:
+        """Put a cube onto a tray that was put before.
+
+        Args:
+            tray: Name of the tray.
+            along_m: Largest distance from its middle, along it [m].
+
+        Returns:
+            The cube's name.
+        """
+        zone = self.load_zone(tray, along_m)
+        below = next(placed for placed in self.objects if placed.name == tray)
+        turn = self.rng.uniform(-math.pi, math.pi)
+        along = self.rng.uniform(-along_m, along_m)
+        at = (below.pose @ Pose2(along, 0.0, turn)).rounded()
+        placed = ObjectPlacement("cube", self._free["cube"].pop(0), at)
+        self.objects.append(placed)
+        self._zones[placed.name] = zone
+        return placed.name
+
+    def load_zone(self, tray: str, along_m: float) -> Zone:
+        """Where the load of a tray may lie."""
+        below = next(placed for placed in self.objects if placed.name == tray)
+
+        def check(pose: Pose2) -> bool:
+            at = below.pose.inverse() @ pose
+            return abs(at.x) <= along_m + _ROUNDED_M and abs(at.y) <= _ROUNDED_M
+
+        zone = Zone.where(check)
+        return replace(zone, says=f"on the middle of the {tray}")
 
     def has_colors(self, kind: str) -> bool:
         """Whether another cube or pad of a new color can be put."""
@@ -278,7 +311,8 @@ class ObjectPlacer:
         team = range(len(self.robots))
         excluded = goal.rule is not None and goal.rule.robot is not None
         there = needed(self.territory, self.objects, goal)
-        if len(team) > 2 and len(there) < len(team) - excluded:
+        carried = any(is_carried(on.top) for on in goal.placements)
+        if (len(team) > 2 or carried) and len(there) < len(team) - excluded:
             raise PlacementError("team without one robot")
         for robot in team:
             if self._could_push_towers(robot, goal):

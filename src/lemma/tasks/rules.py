@@ -16,7 +16,7 @@ from lemma.core.poses import wrap
 from lemma.core.seeding import stream
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
-from lemma.scene.spec import ObjectPlacement
+from lemma.scene.spec import ObjectPlacement, load_height_m
 from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -27,6 +27,7 @@ from lemma.tasks.teams.layouts import (
     APART_M,
     LATERAL_M,
     LAYOUTS,
+    PAIR,
     SHARED_WIDTH_M,
     YAW_RAD,
     apart_m,
@@ -96,6 +97,10 @@ class _RecordedPlacer(ObjectPlacer):
         self.objects.append(placed)
         self._zones[placed.name] = wanted
         return placed.name
+
+    def load(self, tray: str, along_m: float) -> str:
+        """Return the cube that lies on a tray."""
+        return self.put("cube", self.load_zone(tray, along_m))
 
     def stick(self, robot: int) -> str:
         """Take the stick that is there."""
@@ -205,6 +210,8 @@ def _crowded(instance: Instance) -> Iterator[str]:
     for i, one in enumerate(objects):
         for other in objects[i + 1 :]:
             kind, near = one.entity.kind, other.entity.kind
+            if load_height_m(one, (other,)) or load_height_m(other, (one,)):
+                continue
             least, gap = kind.spacing_to(near), gap_m(kind, one.pose, near, other.pose)
             if gap < least - _ROUNDED_M:
                 yield (
@@ -220,7 +227,7 @@ def _crowded(instance: Instance) -> Iterator[str]:
 def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
     """Yield where robots do not stand as the sampler would have them."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
-    if len(robots) > 2:
+    if task.layout != PAIR:
         if not LAYOUTS[task.layout].allows(robots):
             yield f"The robots do not stand as in the layout {task.layout}."
         return

@@ -111,20 +111,25 @@ def _color_and_kind(name: str) -> tuple[str, ObjectKind]:
     raise UnknownNameError("entity", name, known_entities())
 
 
-def known_entities() -> tuple[str, ...]:
+def known_entities(task: str = "") -> tuple[str, ...]:
     """Return every entity that may be on a table now: their order is their number.
 
     :data:`ENTITIES` come first, then what was registered since: by kind, in each by
     color, both in the order of registration.
+
+    Args:
+        task: The task of the table. Kinds of other tasks (:attr:`.ObjectKind.task`)
+            are left out, so that the numbers of a task do not depend on others.
     """
     every = (
         Entity(color, kind).name
         for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS)
+        if kind.task in ("", task)
         for color in (OBJECT_COLORS if kind.colored else ("",))
     )
     return tuple(dict.fromkeys((*ENTITIES, *every)))
 
 
-def extra_entities() -> tuple[str, ...]:
-    """Return the entities of :func:`known_entities` that users registered."""
-    return known_entities()[len(ENTITIES) :]
+def extra_entities(task: str = "") -> tuple[str, ...]:
+    """Return the entities of :func:`known_entities` behind the benchmark's own."""
+    return known_entities(task)[len(ENTITIES) :]

@@ -19,17 +19,17 @@ from lemma.scene.objects.kind import (
     Shell,
 )
 
-TRAY_LENGTH_M = 0.60
+TRAY_LENGTH_M = 0.80
 TRAY_WIDTH_M = 0.14
 """More than the fingers open."""
 TRAY_HEIGHT_M = 0.03
 TRAY_MASS_KG = 4.0
-PLATE_LENGTH_M = 0.40
+PLATE_LENGTH_M = 0.60
 """Length of the part between the handles."""
 HANDLE_WIDTH_M = 0.03
-HANDLE_GRASP_M = 0.235
+HANDLE_GRASP_M = 0.335
 """From the middle to where each hand grasps, along x."""
-REST_M = 0.28
+REST_M = 0.38
 """From the middle to the middle of each post under it, along x."""
 STAND_HEIGHT_M = 0.06
 
@@ -41,8 +41,8 @@ _GRASP_HEIGHT_M = 0.018
 """The fingertips end 6 mm above the table, so they never touch it."""
 _POST_HALF_M = (0.016, 0.03)
 _DISC_M = math.hypot(TRAY_LENGTH_M / 2, HANDLE_WIDTH_M / 2)
-_ROW_M = 0.28
-"""Between the middles of trays and stands, which lie side by side."""
+_ROW_M = 0.16
+"""Between the middles of trays and stands that lie side by side, at least."""
 
 
 def _handle(side: float) -> Part:

@@ -177,6 +177,11 @@ class Template:
         conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
         return self.entity_kinds[conjunct][role.startswith("bottom")]
 
+    def _is_colorless(self, role: str) -> bool:
+        """Whether a role is of a kind of which a scene has one, called by its kind."""
+        kind = self._kind(role)
+        return kind not in (None, HAND) and not OBJECT_KINDS[str(kind)].colored
+
     def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
         kind = self._kind(slot["role"])
         noun = noun if kind is None else OBJECT_KINDS[kind].nouns[0]
@@ -189,6 +194,8 @@ class Template:
         kind = self._kind(role)
         if kind == HAND:
             return HAND
+        if self._is_colorless(role):
+            return str(kind)
         record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
         return Entity(said[f"{role}_color"], record).name
 
@@ -359,6 +366,10 @@ def _pattern(
     for slot in SLOT.finditer(text):
         role, part = slot["role"], slot["part"]
         pieces.append(re.escape(text[end : slot.start()]))
+        if template._is_colorless(role):
+            pieces.append(re.escape(template._fill(slot, "", "")))
+            end = slot.end()
+            continue
         if part != "kind":
             pieces.append(group(f"{role}_color", colors))
         if part is None:
