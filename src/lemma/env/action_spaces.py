@@ -170,22 +170,22 @@ SKILL_POSES = ActionLayout(
 :class:`~lemma.tasks.subtask.GroundedSubTask`."""
 
 
-def picks() -> tuple[str, ...]:
-    """Return the entities that a sub-task may pick.
+def picks(task: str = "") -> tuple[str, ...]:
+    """Return the entities that a sub-task may pick, at tables of a task.
 
     These are :data:`PICKS`, then entities of kinds and colors that users registered.
     The index in the tuple is the number in an action.
     """
-    return (*PICKS, *extra_entities())
+    return (*PICKS, *extra_entities(task))
 
 
-def places(team_size: int = 2) -> tuple[str, ...]:
+def places(team_size: int = 2, task: str = "") -> tuple[str, ...]:
     """Return the entities and regions that a sub-task may place something on.
 
     :data:`PLACES`, then the regions that two robots of a larger team may share, then
     registered entities. The index in the tuple is the number in an action.
     """
-    return (*PLACES, *pair_regions(team_size), *extra_entities())
+    return (*PLACES, *pair_regions(team_size), *extra_entities(task))
 
 
 def skill_space(team_size: int) -> spaces.Dict:
@@ -199,14 +199,14 @@ def skill_space(team_size: int) -> spaces.Dict:
     )
 
 
-def plan_space(team_size: int) -> spaces.Dict:
-    """Return the space of symbolic sub-tasks."""
+def plan_space(team_size: int, task: str = "") -> spaces.Dict:
+    """Return the space of symbolic sub-tasks at tables of a task."""
     return spaces.Dict(
         {
             "robot": spaces.Discrete(team_size),
             "primitive": spaces.Discrete(len(primitive_names())),
-            "pick": spaces.Discrete(len(picks())),
-            "place": spaces.Discrete(len(places(team_size))),
+            "pick": spaces.Discrete(len(picks(task))),
+            "place": spaces.Discrete(len(places(team_size, task))),
         }
     )
 
@@ -249,7 +249,9 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
     return GroundedSubTask(robot_name(robot), primitive, pick, place)
 
 
-def encode_plan(subtask: SubTask | None, team_size: int = 2) -> dict[str, Any]:
+def encode_plan(
+    subtask: SubTask | None, team_size: int = 2, task: str = ""
+) -> dict[str, Any]:
     """Return the plan-level action for a symbolic sub-task, or ``stop`` for None.
 
     Raises:
@@ -257,7 +259,8 @@ def encode_plan(subtask: SubTask | None, team_size: int = 2) -> dict[str, Any]:
     """
     _check_type(subtask, SubTask)
     subtask = subtask or STOP
-    for entity, valid in ((subtask.pick, picks()), (subtask.place, places(team_size))):
+    ends = (subtask.pick, picks(task)), (subtask.place, places(team_size, task))
+    for entity, valid in ends:
         if entity not in valid:
             raise InvalidActionError(
                 f"No table ever has a {shown(entity)}. Valid: {', '.join(valid[1:])}."
@@ -265,12 +268,12 @@ def encode_plan(subtask: SubTask | None, team_size: int = 2) -> dict[str, Any]:
     return {
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
         "primitive": primitive_names().index(subtask.primitive),
-        "pick": picks().index(subtask.pick),
-        "place": places(team_size).index(subtask.place),
+        "pick": picks(task).index(subtask.pick),
+        "place": places(team_size, task).index(subtask.place),
     }
 
 
-def decode_plan(action: Action, team_size: int) -> SubTask:
+def decode_plan(action: Action, team_size: int, task: str = "") -> SubTask:
     """Return the symbolic sub-task that an action means.
 
     Raises:
@@ -279,9 +282,9 @@ def decode_plan(action: Action, team_size: int) -> SubTask:
     check_keys(action, ("robot", "primitive", "pick", "place"), _HINT)
     robot = _number(action["robot"], "robot", _robot_names(team_size))
     primitive = _primitive(action["primitive"])
-    entity = picks()
+    entity = picks(task)
     pick = entity[_number(action["pick"], "pick", entity)]
-    entity = places(team_size)
+    entity = places(team_size, task)
     place = entity[_number(action["place"], "place", entity)]
     if primitive is Primitive.STOP:
         return STOP

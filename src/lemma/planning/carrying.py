@@ -63,7 +63,7 @@ def ground_carry(
         after,
         min(geometry.quality(name, *poses) for name, poses in hands.items()),
         alone_s - _ONE_HAND_S + 1.5 * way_m / CARRY_M_S,
-        partner=partner,
+        theirs=GroundedSubTask(partner, subtask.primitive, *hands[partner]),
     )
 
 

@@ -160,8 +160,13 @@ class GroundedOption:
     """tau: predicted time [s]."""
     reluctance_s: float = 0.0
     """Time that the choice between plans adds to it [s]."""
-    partner: str = ""
-    """The other robot of a joint sub-task, which it takes as well; empty for none."""
+    theirs: GroundedSubTask | None = None
+    """The part of the other robot of a joint sub-task, which it takes as well."""
+
+    @property
+    def partner(self) -> str:
+        """The other robot of a joint sub-task; empty for none."""
+        return "" if self.theirs is None else self.theirs.robot
 
 
 class SceneGeometry:

@@ -90,9 +90,10 @@ def _exclude(
                 )
                 for i, k in ((0, 3), (0, 1), (1, 2))
             ]
-            busy.setdefault(robot, []).append(spans[0])
-            for line, span in zip(job.lines[robot], spans[1:], strict=True):
-                stays.append((m, robot, line, span))
+            for name in job.team(robot):
+                busy.setdefault(name, []).append(spans[0])
+                for line, span in zip(job.lines[name], spans[1:], strict=True):
+                    stays.append((m, name, line, span))
     for of_one in busy.values():
         model.add_no_overlap(of_one)
     for (m, robot, line, span), (k, other, too, span_too) in combinations(stays, 2):

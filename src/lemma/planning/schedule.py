@@ -59,7 +59,13 @@ class Job:
     """Earlier sub-tasks that it depends on, ``"pick"`` to begin, ``"place"`` to put
     down."""
     lines: Mapping[str, tuple[Line, Line]]
-    """By robot: from its base to its hand, as it picks and as it places."""
+    """By robot: from its base to its hand, as it picks and as it places; a partner's
+    too."""
+
+    def team(self, robot: str) -> tuple[str, ...]:
+        """Return who is busy if a robot does it: it, and its partner."""
+        partner = self.options[robot].partner
+        return (robot, partner) if partner else (robot,)
 
     def times(self, robot: str) -> tuple[int, ...]:
         """Return begin, picked, effect and end, from its beginning [1/100 s]."""
@@ -82,6 +88,14 @@ class Schedule:
     def at(self, job: int, stage: int) -> int:
         """Return when a sub-task has begun, picked, had its effect, ended [1/100 s]."""
         return self.starts[job] + self.jobs[job].times(self.robots[job])[stage]
+
+    def team(self, job: int) -> tuple[str, ...]:
+        """Return who is busy with a sub-task: one robot, or two."""
+        return self.jobs[job].team(self.robots[job])
+
+    def share(self, job: int, other: int) -> bool:
+        """Whether a robot is busy with both of two sub-tasks."""
+        return bool({*self.team(job)} & {*self.team(other)})
 
     @property
     def status(self) -> str:
@@ -142,8 +156,12 @@ class Schedule:
                         for k in range(m)
                         for i in _STAGES
                         for other in _STAGES
-                        if self.robots[k] != self.robots[m]
-                        and are_near(self.stays(m)[i][2], self.stays(k)[other][2])
+                        if not self.share(k, m)
+                        and any(
+                            are_near(mine[2], theirs[2])
+                            for mine in self.stays(m)[i::2]
+                            for theirs in self.stays(k)[other::2]
+                        )
                     ],
                 }
             )
@@ -184,8 +202,7 @@ class Schedule:
 
     def _holds_up(self, k: int, m: int) -> bool:
         """Whether m could begin sooner if k were done sooner."""
-        job, robot = self.jobs[m], self.robots[m]
-        same = self.robots[k] == robot
+        job, same = self.jobs[m], self.share(k, m)
         follows = same and self.at(k, 3) == self.starts[m]
         stage = {"pick": 0, "place": 1}.get(job.needs.get(k, ""))
         needed = stage is not None and self.at(k, 2) == self.at(m, stage)
@@ -203,9 +220,16 @@ class Schedule:
         )
 
     def stays(self, job: int) -> list[Stay]:
-        """Return where a sub-task keeps others away, from when to when."""
-        lines = self.jobs[job].lines[self.robots[job]]
-        return [(self.at(job, i), self.at(job, i + 1), lines[i]) for i in _STAGES]
+        """Return where a sub-task keeps others away, from when to when.
+
+        Both stages of its robot, then those of a partner.
+        """
+        lines = self.jobs[job].lines
+        return [
+            (self.at(job, i), self.at(job, i + 1), lines[robot][i])
+            for robot in self.team(job)
+            for i in _STAGES
+        ]
 
     def faults(self) -> list[str]:
         """Return what is wrong with it, nothing if it can be carried out."""
@@ -215,7 +239,7 @@ class Schedule:
                 if self.at(m, 0 if why == "pick" else 1) < self.at(k, 2):
                     found.append(f"{m} does not wait for {k}")
             for k in range(m):
-                same = self.robots[k] == self.robots[m]
+                same = self.share(k, m)
                 if same and _meet(*(self.at(i, e) for i in (k, m) for e in (0, 3))):
                     found.append(f"{self.robots[m]} does {k} and {m} at once")
                 clash = any(
@@ -305,15 +329,17 @@ def pose_jobs(
         for robot in names:
             given = replace(step.subtask, robot=robot)
             option = grounder.ground(given, now)
-            if option is not None and goal.permits(given, now.has):
+            if option is None or not goal.permits(given, now.has):
+                continue
+            # A pair is one option, whichever of the two is given the order.
+            if not option.partner or robot == step.subtask.robot:
                 options[robot] = option
-        lines = {
-            robot: (
-                (grounder.robots[robot].base, option.grounded.pick),
-                (grounder.robots[robot].base, option.grounded.place),
-            )
-            for robot, option in options.items()
-        }
+        lines = {}
+        for option in options.values():
+            for one in (option.grounded, option.theirs):
+                if one is not None:
+                    base = grounder.robots[one.robot].base
+                    lines[one.robot] = ((base, one.pick), (base, one.place))
         worth = {robot: utility(of, now, goal) for robot, of in options.items()}
         jobs.append(Job(step.subtask, options, worth, needed, lines))
         now = step.after
@@ -343,15 +369,16 @@ def in_order(
         times, first = jobs[m].times(who[m]), 0
         for k, why in jobs[m].needs.items():
             first = max(first, schedule.at(k, 2) - times[0 if why == "pick" else 1])
-        first = max([first, *(schedule.at(k, 3) for k in placed if who[k] == who[m])])
-        lines = jobs[m].lines[who[m]]
+        shared = [k for k in placed if schedule.share(k, m)]
+        first = max([first, *(schedule.at(k, 3) for k in shared)])
+        lines = [jobs[m].lines[robot] for robot in jobs[m].team(who[m])]
         others = [
             (i, entered, left)
             for k in placed
-            if who[k] != who[m]
+            if k not in shared
             for entered, left, line in schedule.stays(k)
             for i in _STAGES
-            if are_near(lines[i], line)
+            if any(are_near(mine[i], line) for mine in lines)
         ]
         first = _after_others(times, first, others)
         starts[m] = first

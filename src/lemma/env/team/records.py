@@ -25,6 +25,8 @@ class Order:
     """Robots whose effects must come first; the order begins when the set is empty."""
     own_poses: bool = False
     """Whether the poses are the policy's, so that the effect may differ."""
+    partner: str = ""
+    """The other robot of a joint sub-task, which it takes as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,8 @@ class Done:
     """Simulated time at which it began or was refused [s]."""
     effect_s: float | None = None
     """Time at which its effect was first seen [s]; None if unchecked before the end."""
+    partner: str = ""
+    """The other robot of a joint sub-task."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,9 @@ class TeamEnv(LemmaEnv):
     A robot without an order waits, and so does one whose primitive is ``wait``, the
     number after those of :func:`~lemma.tasks.subtask.primitive_names`. ``stop`` of any
     robot ends the episode: busy robots finish, then it is judged. An order that cannot
-    be carried out raises no error: its robot is busy for a second.
+    be carried out raises no error: its robot is busy for a second. An order of
+    :data:`~lemma.tasks.subtask.JOINT` takes a second robot, and waits until that one is
+    free; if it is, its own order later in the same step is dropped.
 
     ``info`` additionally holds: ``duration_s`` of the step; ``free``, the robots that
     can be given orders; ``doing`` and ``waits_for`` by robot; ``ended``, the orders
@@ -168,9 +170,11 @@ class TeamEnv(LemmaEnv):
         waits_for, free = team.waits_for, team.free
         found["duration_s"] = self._duration_s
         found["free"] = free
+        doing = {name: team.orders.get(team.works_on(name)) for name in self.robot_names}
         found["doing"] = {
             name: str(order.subtask or order.grounded.primitive)
-            for name, order in team.orders.items()
+            for name, order in doing.items()
+            if order is not None
         }
         found["waits_for"] = waits_for
         found["ended"] = [
@@ -223,8 +227,10 @@ class TeamPlanEnv(TeamEnv):
         return spaces.Dict(
             {
                 "primitive": spaces.Discrete(len(primitive_names()) + 1),
-                "pick": spaces.Discrete(len(picks())),
-                "place": spaces.Discrete(len(places(len(self.robot_names)))),
+                "pick": spaces.Discrete(len(picks(self.config.task))),
+                "place": spaces.Discrete(
+                    len(places(len(self.robot_names), self.config.task))
+                ),
             }
         )
 
@@ -236,13 +242,15 @@ class TeamPlanEnv(TeamEnv):
         """
         found = {}
         for subtask in subtasks:
-            order = encode_plan(subtask, len(self.robot_names))
+            order = encode_plan(subtask, len(self.robot_names), self.config.task)
             robot = self.robot_names[order.pop("robot")]
             found[robot] = order
         return found
 
     def _decode(self, order: Action, robot: int) -> SubTask | None:
-        subtask = decode_plan({"robot": robot, **order}, len(self.robot_names))
+        subtask = decode_plan(
+            {"robot": robot, **order}, len(self.robot_names), self.config.task
+        )
         return None if subtask.primitive is Primitive.STOP else subtask
 
     def valid_orders(self, robot: str) -> tuple[SubTask, ...]:
@@ -260,7 +268,7 @@ class TeamPlanEnv(TeamEnv):
         found = self._busy_mask()
         found["primitive"][primitive_names().index(Primitive.STOP)] = 1
         for subtask in self.valid_orders(robot):
-            order = encode_plan(subtask, len(self.robot_names))
+            order = encode_plan(subtask, len(self.robot_names), self.config.task)
             for part, mask in found.items():
                 mask[order[part]] = 1
         return found

@@ -1,11 +1,14 @@
 """Hands near objects, and the parts of robots that touch them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.scene.objects.entity import kind_of
 
 LEFT, RIGHT = 2, 4
 """Bits of the pads of the fingers; every other part of a robot has the bit 1."""
@@ -28,6 +31,20 @@ def parts_of_robots(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int6
     return found
 
 
+def watched_m(names: Sequence[str]) -> FloatArray:
+    """Return how near to the middle of each object a hand is watched, (n,) [m]."""
+    return np.array([WATCH_M + handle_m(name) for name in names])
+
+
+def handle_m(name: str) -> float:
+    """Return how far handles are from the middle of what two robots carry [m].
+
+    It is 0 for everything else.
+    """
+    carried = kind_of(name).carried
+    return 0.0 if carried is None else abs(carried.handles[0].at.x)
+
+
 @kernel
 def is_near_or_moved(
     qpos: FloatArray,
@@ -35,6 +52,7 @@ def is_near_or_moved(
     sites: FloatArray,
     hands: NDArray[np.int64],
     seen: FloatArray,
+    watch_m: FloatArray,
 ) -> tuple[bool, bool]:
     """Whether a hand is near an object, and whether one has moved since it was seen."""
     near, moved = False, False
@@ -46,7 +64,7 @@ def is_near_or_moved(
             seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
         for hand in hands:
             dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
-            if dx * dx + dy * dy + dz * dz < WATCH_M * WATCH_M:
+            if dx * dx + dy * dy + dz * dz < watch_m[k] * watch_m[k]:
                 near = True
     return near, moved
 
