@@ -32,7 +32,7 @@ def ground_carry(
     if carried is None or place not in now.poses or why_not_carry(subtask, now):
         return None
     target = now.poses[place]
-    # A stand is the same from both sides: the thing turns less than a quarter.
+    # A rack is the same from both sides: the thing turns less than a quarter.
     turn = math.pi * round((start.yaw - target.yaw) / math.pi)
     end = Pose2(target.x, target.y, target.yaw + turn)
     base = geometry.robots[robot].base

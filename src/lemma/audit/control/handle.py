@@ -14,7 +14,7 @@ _RAISED_M = (0.0, 0.08, 0.25)
 
 @attack("control", attempts=len(_RAISED_M))
 def one_handle(trial: ControlTrial) -> None:
-    """Takes a tray by one handle, and puts that end onto the stand."""
+    """Takes a tray by one handle, and puts that end onto the rack."""
     carried = [on for on in trial.goal.placements if kind_of(on.top).carried]
     trial.require(carried)
     for on in carried:

@@ -1,8 +1,8 @@
-"""The tray, which two robots carry together, and the stand on which it is put.
+"""The tray, which two robots carry together, and the rack on which it is put.
 
 The tray is too wide for a gripper, and has a handle at either end. A hand that raises
 one handle alone leaves the other end on the table: the weight turns the handle in its
-fingers. A stand is a pair of posts, one under the end of either handle, so that no end
+fingers. A rack is a pair of posts, one under the end of either handle, so that no end
 of the tray hangs over a post and nobody can tip it by a push from above.
 """
 
@@ -31,7 +31,7 @@ HANDLE_GRASP_M = 0.335
 """From the middle to where each hand grasps, along x."""
 REST_M = 0.38
 """From the middle to the middle of each post under it, along x."""
-STAND_HEIGHT_M = 0.06
+RACK_HEIGHT_M = 0.06
 
 _HALF_M = TRAY_HEIGHT_M / 2
 _HANDLE_HALF_M = (TRAY_LENGTH_M - PLATE_LENGTH_M) / 4
@@ -42,7 +42,7 @@ _GRASP_HEIGHT_M = 0.018
 _POST_HALF_M = (0.016, 0.03)
 _DISC_M = math.hypot(TRAY_LENGTH_M / 2, HANDLE_WIDTH_M / 2)
 _ROW_M = 0.16
-"""Between the middles of trays and stands that lie side by side, at least."""
+"""Between the middles of trays and racks that lie side by side, at least."""
 
 
 def _handle(side: float) -> Part:
@@ -85,7 +85,7 @@ TRAY = OBJECT_KINDS.add(
         origin_m=_HALF_M,
         disc_m=_DISC_M,
         side_m=_DISC_M,
-        spacing_m={"stand": _ROW_M},
+        spacing_m={"rack": _ROW_M},
         carried=Carried((_grip(-1.0), _grip(1.0)), REST_M),
         support_m=0.15,
         obstacle=(
@@ -99,29 +99,29 @@ TRAY = OBJECT_KINDS.add(
 
 
 def _post(side: float) -> Part:
-    half = (*_POST_HALF_M, STAND_HEIGHT_M / 2)
-    at = (side * REST_M, 0.0, STAND_HEIGHT_M / 2)
+    half = (*_POST_HALF_M, RACK_HEIGHT_M / 2)
+    at = (side * REST_M, 0.0, RACK_HEIGHT_M / 2)
     return Part("box", half, None, at, "left" if side < 0.0 else "right")
 
 
 def _post_capsule(side: float) -> Capsule:
     x, radius = side * REST_M, math.hypot(*_POST_HALF_M)
-    return Capsule((x, 0.0, 0.0), (x, 0.0, STAND_HEIGHT_M - radius), radius)
+    return Capsule((x, 0.0, 0.0), (x, 0.0, RACK_HEIGHT_M - radius), radius)
 
 
-STAND = OBJECT_KINDS.add(
-    "stand",
+RACK = OBJECT_KINDS.add(
+    "rack",
     ObjectKind(
-        name="stand",
-        nouns=("stand",),
+        name="rack",
+        nouns=("rack",),
         parts=(_post(-1.0), _post(1.0)),
         task="carry",
         fixed=True,
-        height_m=STAND_HEIGHT_M,
+        height_m=RACK_HEIGHT_M,
         origin_m=0.0,
         disc_m=REST_M + _POST_HALF_M[0],
         side_m=REST_M + _POST_HALF_M[0],
-        spacing_m={"stand": _ROW_M},
+        spacing_m={"rack": _ROW_M},
         support_m=0.012,
         obstacle=(_post_capsule(-1.0), _post_capsule(1.0)),
         shell=Shell((_post_capsule(-1.0), _post_capsule(1.0)), math.hypot(*_POST_HALF_M)),

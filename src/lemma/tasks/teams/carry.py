@@ -1,4 +1,4 @@
-"""The family *carry*: a tray that two robots lift onto a stand, with its load on it.
+"""The family *carry*: a tray that two robots lift onto a rack, with its load on it.
 
 The robots stand so far apart that each reaches one handle of the tray, where it lies
 and where it shall lie, and could not touch the other handle.
@@ -11,7 +11,7 @@ import numpy as np
 from lemma.core.poses import FloatArray, Pose2
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.kind import ObjectKind
-from lemma.scene.objects.tray import STAND, TRAY, TRAY_LENGTH_M
+from lemma.scene.objects.tray import RACK, TRAY, TRAY_LENGTH_M
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
@@ -20,29 +20,29 @@ from lemma.tasks.teams.coalitions import handles_beyond
 from lemma.tasks.zones import INSIDE_M, Mask, Zone
 
 _APART_M = 0.15
-"""Between the axes of the tray and stands, at least."""
+"""Between the axes of the tray and racks, at least."""
 _LOAD_M = 0.10
 """The load begins no farther from the middle of the tray than this, along it."""
-_KINDS = (TRAY.name, STAND.name)
+_KINDS = (TRAY.name, RACK.name)
 _STEPS = 9
 
 
 @task(
     "carry",
-    "Two robots carry a tray with a cube on it to a stand, each by one handle.",
+    "Two robots carry a tray with a cube on it to a rack, each by one handle.",
     subtasks=1,
     distractors=(0, 3),
     layout="wide_pair",
     teams=TEAMS,
 )
 def arrange_carry(placer: ObjectPlacer) -> Goal:
-    """Each robot reaches one end of the tray and of both stands."""
+    """Each robot reaches one end of the tray and of both racks."""
     zone = _between(placer)
-    stand = placer.put("stand", zone)
-    placer.put("stand", zone)
+    rack = placer.put("rack", zone)
+    placer.put("rack", zone)
     tray = placer.put("tray", zone)
     load = placer.load(tray, _LOAD_M)
-    return Goal((On(tray, stand), On(load, tray)))
+    return Goal((On(tray, rack), On(load, tray)))
 
 
 def _between(placer: ObjectPlacer) -> Zone:
@@ -63,7 +63,7 @@ def _between(placer: ObjectPlacer) -> Zone:
         return apart and _has_an_end_each(placer, pose)
 
     says = "where each robot works at one end and could not touch the other one"
-    return Zone(sift, check, says=f"{says}, beside the tray and the stands")
+    return Zone(sift, check, says=f"{says}, beside the tray and the racks")
 
 
 def _has_an_end_each(placer: ObjectPlacer, pose: Pose2) -> bool:
