@@ -53,7 +53,6 @@ def test_placing_suffices_for_hand_overs_towers_and_relays(task: str) -> None:
     result = lemma.evaluate(
         HandTeamPolicy(WEIGHTS),
         level="control",
-        suite="teams" if task == "relay" else None,
         tasks=(task,),
         split="val",
         episodes=2,
