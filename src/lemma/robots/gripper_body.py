@@ -33,7 +33,7 @@ from lemma.robots.ur.meshes import Loft, Surface, mesh
 _FINGER_MASS_KG = 0.1
 # At full force the width changes at 0.2 m/s: the full stroke takes 0.5 s.
 _WIDTH_DAMPING = GRIP_FORCE_N / 0.2
-# Reflected inertia of the screw drive; it also improves the conditioning of the fingers.
+# Reflected inertia of the screw drive; it also improves the numerical conditioning.
 _FINGER_ARMATURE = 5.0
 _SERVO_STIFFNESS = 5000.0
 _PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
