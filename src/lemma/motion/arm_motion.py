@@ -363,7 +363,7 @@ class ArmMotion:
         return _tcp(self._dh, self._base, self.measured)
 
     def reference_pose(self) -> FloatArray:
-        """Return the reference's world from gripper at the tool centre point, (4, 4)."""
+        """Return world from gripper at the reference's tool centre point, (4, 4)."""
         return _tcp(self._dh, self._base, self.state[0])
 
     def aim_pose(self) -> FloatArray:
