@@ -183,7 +183,7 @@ class Poses:
 
 
 class RayTracer:
-    """Renders many states at once on a GPU, by the methods of :class:`OpenGLRenderer`."""
+    """Renders many states at once on a GPU, as :class:`OpenGLRenderer` does singly."""
 
     def __init__(self, width: int, height: int) -> None:
         """Set the size of images.

@@ -1,4 +1,4 @@
-"""Renders images of a scene: fast color and depth for robots, fine images for viewers."""
+"""Renders scenes: fast color and depth images for robots, fine images for viewers."""
 
 from dataclasses import dataclass
 from typing import TypeVar
