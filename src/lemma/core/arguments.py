@@ -175,7 +175,7 @@ def check_address_has_no_secret(url: str, whose: str, advice: str) -> None:
     if any(mark in url for mark in "@?#;"):
         raise InvalidConfigError(
             f"The address of {whose} holds no password and no key, since results name "
-            f"it: leave out what stands with @, ?, # or a semicolon. {advice}"
+            f"it: remove the parts with @, ?, # or a semicolon. {advice}"
         )
 
 

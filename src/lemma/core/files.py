@@ -143,8 +143,8 @@ def read_json(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise DatasetError(
-            f"{path} is missing: nothing was written there, or not to the end. Run the "
-            "command again that writes it, such as 'lemma generate' for a recipe."
+            f"{path} is missing: the command that writes it did not run, or did not "
+            "finish. Run it again, such as 'lemma generate' for a recipe."
         ) from error
     except (OSError, ValueError) as error:
         raise DatasetError(_unreadable(path, error)) from error

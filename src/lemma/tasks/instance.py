@@ -101,7 +101,8 @@ class Instance:
         known = (*names, *self.scene.robot_names)
         if rule is not None and not set(rule.names) <= set(known):
             raise InvalidConfigError(
-                f"{rule} names what is not on the table. There are {', '.join(known)}."
+                f"{rule} names an entity that is not on the table. There are "
+                f"{', '.join(known)}."
             )
         absent = [n for n in (*self.goal.entities, *self.distractors) if n not in names]
         if absent:

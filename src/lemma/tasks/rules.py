@@ -136,7 +136,7 @@ class _RecordedPlacer(ObjectPlacer):
         kind, name = placed.entity.kind, placed.entity.phrase
         x, y = placed.pose.x + _AROUND[:, 0], placed.pose.y + _AROUND[:, 1]
         if not self.territory.on_table(x, y, kind.disc_m + FROM_EDGE_M).any():
-            return f"The {name} does not lie on the table as a whole."
+            return f"The {name} does not lie completely on the table."
         if not self.territory.in_view(x, y).any():
             return f"The {name} lies where no robot's camera sees it."
         checked = zone.check is None or zone.check(placed.pose)
@@ -155,7 +155,7 @@ class _RecordedPlacer(ObjectPlacer):
             elif self.territory.cannot(robot, placed.entity.kind, x, y)[0]:
                 what = "could not touch it"
             else:
-                what = "might touch it, but does not surely work there"
+                what = "might touch it, but does not reach it with a margin"
             phrases.append(f"the {phrase} {what}")
         return " and ".join(phrases)
 

@@ -109,7 +109,7 @@ class SubTask:
     ``pick`` for ``reach`` and ``lift``."""
 
     def __post_init__(self) -> None:
-        """Take the primitive's name as well, and refuse one that nobody knows."""
+        """Convert a name to a primitive."""
         object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def __str__(self) -> str:
@@ -158,7 +158,7 @@ class GroundedSubTask:
     place: Pose2
 
     def __post_init__(self) -> None:
-        """Take the primitive's name as well, and refuse one that nobody knows."""
+        """Convert a name to a primitive."""
         object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def to_dict(self) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class ProcessPool:
         """
         self.workers = usable_cores() if workers is None else workers
         if self.workers < 1:
-            raise InvalidConfigError(f"Workers are 1 or more, not {workers}.")
+            raise InvalidConfigError(f"There must be 1 or more workers, not {workers}.")
 
     def run(
         self,
@@ -246,8 +246,8 @@ class _Task:
         self.deaths += 1
         if self.deaths == MOST_DEATHS:
             raise WorkerError(
-                f"{MOST_DEATHS} worker processes died, one after another, of the same "
-                "job. If the system ends them for lack of memory, use fewer with "
+                f"{MOST_DEATHS} worker processes died, one after another, during the "
+                "same job. If the system ends them for lack of memory, use fewer with "
                 "--workers; each needs 500 MB."
             )
 
@@ -282,9 +282,9 @@ class _Worker:
         if self.begun or (self.process.exitcode or 0) < 0:
             return
         raise WorkerError(
-            "A worker process ended before it could begin; what it printed says why. "
-            "Each imports the program that starts it: what a script does goes under "
-            "'if __name__ == \"__main__\":', or every worker does it again."
+            "A worker process ended before it could begin; see its output above. Every "
+            "worker imports the program that started it. If that is a script, put its "
+            "code under 'if __name__ == \"__main__\":', or every worker runs it again."
         )
 
     def begin(self, task: _Task) -> None:

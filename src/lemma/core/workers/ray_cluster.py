@@ -102,9 +102,9 @@ class RayCluster:
             raise error.cause from error
         except self._ray.exceptions.RayError as error:
             raise WorkerError(
-                f"The Ray cluster lost a job {MOST_DEATHS} times, or itself: "
-                f"{_first_line(error)}. Finished work is kept: look after the "
-                "cluster ('ray status') and run the same command again."
+                f"The Ray cluster lost a job {MOST_DEATHS} times, or failed: "
+                f"{_first_line(error)}. Finished work is kept: check the cluster "
+                "('ray status') and run the same command again."
             ) from error
         return results
 

@@ -146,7 +146,7 @@ def differences(
 
 
 def flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values of a nested record, with lists in place of tuples."""
+    """Yield dotted names and values of a nested record; tuples become lists."""
     for name, value in record.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{name}.")

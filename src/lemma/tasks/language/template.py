@@ -221,10 +221,10 @@ class Template:
             self._check_kinds(self.entity_kinds)
         for role, parts in said.items():
             if not parts & {None, "color"}:
-                raise self._error(f"nothing says the color of {role!r}. {_SLOT_HELP}")
+                raise self._error(f"it lacks the color of {role!r}. {_SLOT_HELP}")
             if self.entity_kinds is None and not parts & {None, "kind"}:
                 raise self._error(
-                    f"nothing says what {role!r} is, a cube or a pad. Write "
+                    f"it lacks the kind of {role!r}, such as cube or pad. Write "
                     f"{{{role}}}, or give entity_kinds such as [['cube', 'pad']]"
                 )
 
@@ -273,8 +273,8 @@ class LanguageBank:
                 wording = template.wording()
                 if wording in seen:
                     raise InvalidConfigError(
-                        f"Templates {seen[wording]!r} and {template.text!r} say the "
-                        "same in the same words. Remove or rewrite one."
+                        f"Templates {seen[wording]!r} and {template.text!r} have the "
+                        "same wording. Remove or rewrite one."
                     )
                 seen[wording] = template.text
         if len(counts) > 1:
