@@ -1,4 +1,4 @@
-"""Dimensions of the gripper: two parallel fingers, similar to a Hand-E, with a larger opening.
+"""Dimensions of the gripper, which is similar to a Hand-E with a larger opening.
 
 :mod:`lemma.robots.gripper_body` builds its bodies. This module does not import MuJoCo,
 so that code without a simulator uses the same dimensions.
