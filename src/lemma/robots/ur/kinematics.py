@@ -17,9 +17,6 @@ import numpy as np
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 
-ALPHA = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
-"""Link twists [rad]."""
-
 _COS_ALPHA = np.array([0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
 _SIN_ALPHA = np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0])
 
