@@ -237,7 +237,7 @@ def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
 
 @kernel
 def table_clearance(placed: FloatArray) -> float:
-    """Return the height of the lowest point of links 2 to 5 above the table [m].
+    """Return the smallest gap of upper arm, forearm and wrist 1 to the table [m].
 
     Args:
         placed: Capsules of one arm in the world frame, (n, 7) [m].
