@@ -224,7 +224,7 @@ class Template:
                 raise self._error(f"it lacks the color of {role!r}. {_SLOT_HELP}")
             if self.entity_kinds is None and not parts & {None, "kind"}:
                 raise self._error(
-                    f"it lacks the kind of {role!r}, such as cube or pad. Write "
+                    f"it lacks the kind of {role!r}, a cube or a pad. Write "
                     f"{{{role}}}, or give entity_kinds such as [['cube', 'pad']]"
                 )
 
