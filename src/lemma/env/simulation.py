@@ -6,7 +6,6 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,9 +14,12 @@ from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.env.snapshots import (
     ArmSnapshot,
+    Ended,
     RobotClock,
     Running,
     SimulationSnapshot,
+    outcome_of,
+    with_losses,
 )
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.leaving import NOTHING_LEAVES
@@ -42,17 +44,6 @@ Pace = Callable[[str, float, float], float]
 usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
-_FINAL = (Outcome.OUT_OF_TIME, Outcome.THROWN, Outcome.RULE)
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """A sub-task that has ended."""
-
-    subtask: GroundedSubTask
-    result: SkillResult
-    start_s: float
-    """Simulated time at which it began [s]."""
 
 
 class Simulation:
@@ -208,21 +199,18 @@ class Simulation:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
         joint = self._skills.pair_up(subtask)
         parts = {subtask.robot: subtask} if joint is None else joint.subtasks
-        for robot in parts:
-            if robot in self._running:
-                raise InvalidActionError(
-                    f"{robot} is busy. Only a free robot can begin a sub-task."
-                )
+        busy = next((robot for robot in parts if robot in self._running), None)
+        if busy is not None:
+            raise InvalidActionError(
+                f"{busy} is busy. Only a free robot can begin a sub-task."
+            )
         for robot, part in parts.items():
             self._skills.staying.work(robot)
             self._skills.leaving.note(robot, leaving)
             if joint is not None:
                 self._skills.joints[robot] = joint
             self._running[robot] = Running(
-                part,
-                self._skills.run(part),
-                self.time_s,
-                until_s,
+                *(part, self._skills.run(part), self.time_s, until_s),
                 self.scene.fallen,
                 partner="" if joint is None else joint.partner_of(robot),
                 leads=part is subtask,
@@ -297,20 +285,12 @@ class Simulation:
             except BaseException:
                 self._free(name)
                 raise
-            result = self._outcome(running) or self._broken_off(running)
+            other = self._running.get(running.partner)
+            result = outcome_of(running, other, self.time_s)
+            result = result or self._broken_off(running)
             if result is not None:
                 ended.append(self._end(name, result))
         return tuple(ended)
-
-    def _outcome(self, running: Running) -> SkillResult | None:
-        """Return how a sub-task went that is over, for all of its robots."""
-        mine, theirs = running.result, self._running.get(running.partner)
-        if theirs is None or mine is None or theirs.result is None:
-            return mine if theirs is None else None
-        first = running if running.leads else theirs
-        said = next((r for r in (mine, theirs.result) if not r.ok), mine)
-        took_s = self.time_s - first.start_s
-        return SkillResult(said.outcome, said.explanation, took_s)
 
     def _end(self, robot: str, result: SkillResult) -> Ended:
         """Free a robot, and its partner, and return what has ended."""
@@ -318,7 +298,8 @@ class Simulation:
         if not running.leads:
             running = self._running[running.partner]
         self._free(robot)
-        result = self._with_losses(result, running.fallen)
+        fell = [name for name in self.scene.fallen if name not in running.fallen]
+        result = with_losses(result, fell)
         return Ended(running.subtask, result, running.start_s)
 
     def _broken_off(self, running: Running) -> SkillResult | None:
@@ -346,15 +327,6 @@ class Simulation:
         if not self._running:
             self._skills.staying.clear()
         self.clocks[robot].busy_s += self.time_s - running.start_s
-
-    def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
-        """Return a result that tells what fell off the table, if something did."""
-        fell = [name for name in self.scene.fallen if name not in before]
-        if not fell or result.outcome in _FINAL:
-            return result
-        explanation = "" if result.ok else f"{result.explanation} "
-        explanation += f"The {' and the '.join(fell)} fell off the table."
-        return SkillResult(Outcome.DROPPED, explanation, result.duration_s)
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""

@@ -11,6 +11,9 @@ robot fails, the other one ends with the same outcome.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 from lemma.core.poses import Pose2, wrap
 from lemma.motion.arm_motion import ArmMotion
@@ -22,6 +25,9 @@ from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.kind import Carried
 from lemma.scene.scene import Scene
 from lemma.tasks.subtask import JOINT, GroundedSubTask
+
+if TYPE_CHECKING:
+    from lemma.motion.skills import SkillRunner
 
 CARRY_M_S = 0.2
 """Speed at which two robots carry a thing, on average over each part of the way."""
@@ -102,7 +108,7 @@ class Joint:
             (self.end, lift_m),
             (self.end, end_m),
         )
-        for (a, low), (b, high) in zip(corners[:-1], corners[1:], strict=True):
+        for (a, low), (b, high) in pairwise(corners):
             turn = wrap(b.yaw - a.yaw)
             way = max(a.distance(b), abs(high - low), _TURN_M * abs(turn))
             # A cubic ease peaks at 1.5 times its mean speed.
@@ -114,9 +120,7 @@ class Joint:
                 yield Pose2(x, y, a.yaw + t * turn), low + t * (high - low)
 
 
-def pair_up(
-    subtask: GroundedSubTask, scene: Scene, thing: str | None
-) -> Joint | None:
+def pair_up(subtask: GroundedSubTask, scene: Scene, thing: str | None) -> Joint | None:
     """Return who carries a thing with a robot, and how.
 
     Args:
@@ -239,3 +243,50 @@ class Hold:
     def _stand(self, thing: Pose2, height_m: float) -> Stand:
         hand = thing @ self._grip
         return (hand.x, hand.y, self._low_m + height_m, hand.yaw)
+
+
+def carry(runner: "SkillRunner", arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
+    """Carry an object by one handle, while the partner does the same at the other one.
+
+    Raises:
+        SkillFailure: There is no handle at the pick pose, or one of both failed.
+    """
+    joint = runner.joints.get(arm.robot.name)
+    if joint is None:
+        raise SkillFailure(
+            Outcome.INVALID,
+            f"{subtask.primitive} takes two robots and an object with two handles, but "
+            f"there is no handle at ({subtask.pick.x:.3f}, {subtask.pick.y:.3f}).",
+        )
+    yield from joint.share(_carry_together(runner, arm, joint))
+
+
+def _carry_together(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
+    name, scene, table = arm.robot.name, arm.scene, runner.reservations
+    if table.holds(name):
+        # A robot that waits holds no sector, so no cycle of waiting arms includes it.
+        yield from runner.staying.go_home(arm)
+        table.give_up(name)
+    yield from joint.meet(name, scene)
+    if name == joint.leader:
+        goals = {n: (s.pick, s.place) for n, s in joint.subtasks.items()}
+        yield from runner.wait_for(arm, partial(table.ask_together, goals))
+    yield from joint.meet(name, scene)
+    hold = Hold(arm, joint, _support_m(runner, joint))
+    hold.check_reach()
+    runner.feel(arm, hold.subtask.pick, joint.thing)
+    yield from hold.grasp()
+    yield from joint.meet(name, scene)
+    runner.feel(arm, hold.subtask.place, joint.thing)
+    yield from hold.follow()
+    yield from joint.meet(name, scene)
+    yield from hold.release()
+
+
+def _support_m(runner: "SkillRunner", joint: Joint) -> float:
+    """Return the height of what the object shall be put on [m]."""
+    body, rest_m = runner.scene.model.body(joint.thing).id, joint.carried.rest_m
+    return max(
+        runner.surface(joint.end @ Pose2(side * rest_m, 0.0), exclude=body)[0]
+        for side in (-1.0, 1.0)
+    )

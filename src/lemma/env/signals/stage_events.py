@@ -199,10 +199,11 @@ def _note(  # noqa: PLR0913
             now[robots, k] |= _LED
         stirs[k] = _is_elsewhere(q, poses[k])
         for r in range(robots):
-            along, handle = sizes[k, 0], sizes[k, 2]
-            if _from_grasp(sites[hands[r]], q, along) < NEAR_M:
-                now[r, k] |= _NEAR
-            elif handle > 0.0 and _from_grasp(sites[hands[r]], q, -handle) < NEAR_M:
+            hand, handle = sites[hands[r]], sizes[k, 2]
+            near = _from_grasp(hand, q, sizes[k, 0]) < NEAR_M
+            if not near and handle > 0.0:
+                near = _from_grasp(hand, q, -handle) < NEAR_M
+            if near:
                 now[r, k] |= _NEAR
 
 

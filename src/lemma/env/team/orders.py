@@ -14,7 +14,7 @@ from dataclasses import replace
 from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
-from lemma.env.team.records import Done, Order, TeamState
+from lemma.env.team.records import Done, Order, TeamState, works_on
 from lemma.motion.leaving import ROOM_M
 from lemma.motion.outcome import SkillResult
 from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
@@ -71,19 +71,8 @@ class Team:
         )
 
     def works_on(self, robot: str) -> str:
-        """Return the robot with whose order a robot is busy; empty if it is free.
-
-        That is itself, or another one whose partner it is; an order that waits has not
-        taken its partner yet.
-        """
-        if not robot or robot in self.orders:
-            return robot
-        held = (
-            name
-            for name, order in self.orders.items()
-            if order.partner == robot and not order.waits_for
-        )
-        return next(held, "")
+        """Return the robot with whose order a robot is busy; see :func:`works_on`."""
+        return works_on(robot, self.orders)
 
     @property
     def waits_for(self) -> dict[str, tuple[str, ...]]:

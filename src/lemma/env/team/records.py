@@ -1,5 +1,6 @@
 """Records of the orders of a team, and of their results."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lemma.motion.outcome import SkillResult
@@ -53,3 +54,23 @@ class TeamState:
     orders: dict[str, Order]
     rests: dict[str, float]
     effects: dict[str, float]
+
+
+def works_on(robot: str, orders: Mapping[str, Order]) -> str:
+    """Return the robot with whose order a robot is busy; empty if it is free.
+
+    That is the robot itself, or the one whose partner it is. A joint order that still
+    waits has not taken its partner yet.
+
+    Args:
+        robot: Its name; may be empty.
+        orders: All orders by robot.
+    """
+    if not robot or robot in orders:
+        return robot
+    takers = (
+        name
+        for name, order in orders.items()
+        if order.partner == robot and not order.waits_for
+    )
+    return next(takers, "")

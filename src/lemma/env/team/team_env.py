@@ -170,7 +170,9 @@ class TeamEnv(LemmaEnv):
         waits_for, free = team.waits_for, team.free
         found["duration_s"] = self._duration_s
         found["free"] = free
-        doing = {name: team.orders.get(team.works_on(name)) for name in self.robot_names}
+        doing = {
+            name: team.orders.get(team.works_on(name)) for name in self.robot_names
+        }
         found["doing"] = {
             name: str(order.subtask or order.grounded.primitive)
             for name, order in doing.items()

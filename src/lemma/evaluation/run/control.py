@@ -202,7 +202,9 @@ class ControlPlayer(Player):
                 config.cameras,
                 task,
             )
-        return rollout.look(self._observers[robots, task], oracle=is_oracle(self.policy))
+        return rollout.look(
+            self._observers[robots, task], oracle=is_oracle(self.policy)
+        )
 
 
 def load_player(spec: PolicySpec) -> Player:

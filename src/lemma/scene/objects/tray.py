@@ -124,6 +124,8 @@ RACK = OBJECT_KINDS.add(
         spacing_m={"rack": _ROW_M},
         support_m=0.012,
         obstacle=(_post_capsule(-1.0), _post_capsule(1.0)),
-        shell=Shell((_post_capsule(-1.0), _post_capsule(1.0)), math.hypot(*_POST_HALF_M)),
+        shell=Shell(
+            (_post_capsule(-1.0), _post_capsule(1.0)), math.hypot(*_POST_HALF_M)
+        ),
     ),
 )

@@ -5,6 +5,7 @@ and where it shall lie, and could not touch the other handle.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,8 @@ _LOAD_M = 0.10
 """The load begins no farther from the middle of the tray than this, along it."""
 _KINDS = (TRAY.name, RACK.name)
 _STEPS = 9
+_ROUNDED_M = 2e-4
+"""Places are rounded after they were drawn."""
 
 
 @task(
@@ -41,7 +44,7 @@ def arrange_carry(placer: ObjectPlacer) -> Goal:
     rack = placer.put("rack", zone)
     placer.put("rack", zone)
     tray = placer.put("tray", zone)
-    load = placer.load(tray, _LOAD_M)
+    load = placer.cube(_on_tray(placer.objects[-1].pose))
     return Goal((On(tray, rack), On(load, tray)))
 
 
@@ -64,6 +67,20 @@ def _between(placer: ObjectPlacer) -> Zone:
 
     says = "where each robot works at one end and could not touch the other one"
     return Zone(sift, check, says=f"{says}, beside the tray and the racks")
+
+
+def _on_tray(tray: Pose2) -> Zone:
+    """Where the load begins: along the middle of the tray, at any heading."""
+
+    def draw(rng: np.random.Generator) -> Pose2:
+        turn = rng.uniform(-math.pi, math.pi)
+        return tray @ Pose2(rng.uniform(-_LOAD_M, _LOAD_M), 0.0, turn)
+
+    def check(pose: Pose2) -> bool:
+        at = tray.inverse() @ pose
+        return abs(at.x) <= _LOAD_M + _ROUNDED_M and abs(at.y) <= _ROUNDED_M
+
+    return replace(Zone.where(check), draw=draw, says="on the middle of the tray")
 
 
 def _has_an_end_each(placer: ObjectPlacer, pose: Pose2) -> bool:
