@@ -32,8 +32,10 @@ def rung_task(rung: str, degree: str) -> str:
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
 """The 24 tasks of the suite ``ladder``; four of them are also in suite ``lemma``."""
-FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange", "carry")
-"""The families of the suite ``teams``, for two to four robots."""
+FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange")
+"""The families of the suite ``teams``, for three and four robots."""
+UNLISTED = ("carry",)
+"""Families without frozen lists, which are in no suite."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))

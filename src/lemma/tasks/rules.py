@@ -17,7 +17,7 @@ from lemma.core.poses import wrap
 from lemma.core.seeding import stream
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
-from lemma.scene.spec import ObjectPlacement, load_height_m
+from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -206,12 +206,11 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goa
 def _crowded(instance: Instance) -> Iterator[str]:
     """Yield sentences about objects that are too close to others."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
-    objects = instance.scene.objects
+    # An object on a tray is above all others.
+    objects = [o for o in instance.scene.objects if not instance.scene.rests_m(o)]
     for i, one in enumerate(objects):
         for other in objects[i + 1 :]:
             kind, near = one.entity.kind, other.entity.kind
-            if load_height_m(one, (other,)) or load_height_m(other, (one,)):
-                continue
             least, gap = kind.spacing_to(near), gap_m(kind, one.pose, near, other.pose)
             if gap < least - _ROUNDED_M:
                 yield (
