@@ -122,6 +122,10 @@ class TeamEnv(LemmaEnv):
         stops, orders = self.read(action)
         start_s, ended = episode.elapsed_s, list[Done]()
         for subtask, grounded in orders:
+            commanded = subtask or grounded
+            if commanded is not None and team.works_on(commanded.robot):
+                # An order before it has taken the robot as a partner.
+                continue
             refused = team.order(subtask, grounded)
             ended += [refused] if refused else []
         ended += team.stop() if stops else team.advance()
@@ -170,13 +174,10 @@ class TeamEnv(LemmaEnv):
         waits_for, free = team.waits_for, team.free
         found["duration_s"] = self._duration_s
         found["free"] = free
-        doing = {
-            name: team.orders.get(team.works_on(name)) for name in self.robot_names
-        }
         found["doing"] = {
             name: str(order.subtask or order.grounded.primitive)
-            for name, order in doing.items()
-            if order is not None
+            for name in self.robot_names
+            if (order := team.orders.get(team.works_on(name))) is not None
         }
         found["waits_for"] = waits_for
         found["ended"] = [

@@ -244,13 +244,14 @@ def sub_instruction(
     if primitive == "stop":
         return lines["stop"]
     added = added_phrase(primitive)
-    if primitive == "move" or added is not None:
+    if primitive in ("move", "carry") or added is not None:
         if pick is None or place is None:
             raise InvalidConfigError(
                 f"{primitive!r} needs pick and place, got pick={pick!r}, "
                 f"place={place!r}. Name both, such as 'red_cube' and 'shared'."
             )
-        line = added or lines["move_to_shared" if is_region(place) else "move"]
+        to_region = primitive == "move" and is_region(place)
+        line = added or lines["move_to_shared" if to_region else primitive]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
     if primitive in ("reach", "lift"):
         if pick is None:
