@@ -1,4 +1,4 @@
-"""Primitives: the six of the paper, two of the ladder, and a push of one's own."""
+"""Primitives: the paper's six, two of the ladder, one of teams, and one's own push."""
 
 import pickle
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
-SHIPPED = (*SIX, "reach", "lift")
+SHIPPED = (*SIX, "reach", "lift", "carry")
 PUSHED = 39
 """Number of an instance in which pushing is the best that the first robot can do."""
 PUSH = EXAMPLES / "12_write_a_primitive.py"

@@ -25,7 +25,7 @@ def ground_carry(
 ) -> GroundedOption | None:
     """Ground ``carry``: the robot has the nearer handle, its partner the other one.
 
-    What lies on the thing goes with it.
+    The objects on it go with it.
     """
     item, place, robot = subtask.pick, subtask.place, subtask.robot
     start, carried = now.poses[item], kind_of(item).carried
