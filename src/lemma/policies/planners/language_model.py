@@ -191,8 +191,10 @@ class LanguageModelPlanner(Composite):
     def _decide(self, policy_input: PolicyInput, scene: SceneText) -> Decision:
         tally = _Tally()
         try:
-            subtask = self._ask_team(policy_input, scene, tally)
-            return Decision(subtask, None, effort=tally.effort())
+            subtask, reason = self._ask_team(policy_input, scene, tally)
+            # Words of a stop say what a policy refuses; others are of failures.
+            why = reason if subtask == STOP else ""
+            return Decision(subtask, None, why, effort=tally.effort())
         except _GaveUpError as error:
             return Decision(
                 STOP, None, str(error), failed=error.kind, effort=tally.effort()
@@ -200,7 +202,7 @@ class LanguageModelPlanner(Composite):
 
     def _ask_team(
         self, policy_input: PolicyInput, scene: SceneText, tally: _Tally
-    ) -> SubTask:
+    ) -> tuple[SubTask, str]:
         """Ask the one planner, or one robot after the other until one does something.
 
         Robots take turns in being asked first.
@@ -219,7 +221,7 @@ class LanguageModelPlanner(Composite):
             text = question(policy_input, scene, robot, messages)
             said = self._converse(policy_input, answers, text, tally)
             if said.subtask is not None:
-                return said.subtask
+                return said.subtask, said.reason
             messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
         raise AssertionError("the last one cannot wait")
 
