@@ -168,7 +168,7 @@ PUSH, PULL = ("push-to-hub", "HERE", NAME), ("pull", NAME, "BACK")
     [
         (PUSH, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
         (PULL, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
-        (PUSH, {"status": 403}, "your token may not do that"),
+        (PUSH, {"status": 403}, "your token lacks the permission"),
         (PUSH, {"status": 500}, "answered 500 about me/data.*Try again later"),
         (PULL, {"status": 500}, "answered 500 about me/data.*Try again later"),
         ((*PULL, "--split", "train"), {}, "me/data has no files of split 'train'"),
@@ -202,7 +202,7 @@ def test_a_repository_or_revision_that_does_not_exist(
     hub: FakeHub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = complaint(capsys, "pull", NAME, tmp_path / "back", "--revision", "v9")
-    assert f"no dataset {NAME}, or not that revision" in text
+    assert f"no dataset {NAME}, or not this revision" in text
     assert not (tmp_path / "back").exists()
 
 
@@ -239,7 +239,7 @@ def test_a_file_that_the_hub_lost_is_named(
 ) -> None:
     del hub.files["val/stack.parquet"]
     text = complaint(capsys, "pull", NAME, tmp_path / "back")
-    assert text.startswith(f"What {NAME} holds is not whole.")
+    assert text.startswith(f"The dataset in {NAME} is not complete.")
     assert "stack.parquet is missing" in text
 
 
