@@ -59,12 +59,10 @@ def demo(
         which: Selection of the instance.
         policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
         say: Your own sentence, for one task.
-        acting: turns: one robot at a time; together: all robots at the same time, only
-            with the expert.
+        acting: turns: one robot at a time; together: all at once, only the expert.
         out: Folder for the videos and index.html.
         no_video: Only solve; write no files.
-        as_json: Print a JSON list on the standard output, and progress on the error
-            stream.
+        as_json: Print a JSON list instead of a table.
 
     Returns:
         Exit code: 1 if the policy failed at any task.

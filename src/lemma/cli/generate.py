@@ -73,8 +73,7 @@ def generate(
         suite: Suite whose tasks are solved unless --tasks names some.
         split: Names of splits, separated by commas; all frozen ones by default, train
             with --perturb, free for your own tasks. Split free needs --episodes.
-        episodes: Number of episodes of every task and split, from the first; all by
-            default.
+        episodes: Number of episodes of every task and split; all by default.
         perturb: Make recovery states instead of demonstrations: each sub-task is
             disturbed with this probability, such as 0.3, and the expert's decision is
             recorded as a label.

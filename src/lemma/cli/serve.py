@@ -35,16 +35,14 @@ def serve(
 
     Args:
         policy: A model; PLANNER+GROUNDER; or package.module:Class.
-        host: Address to listen on. There is no password, so the default allows only
-            this machine.
+        host: Address to listen on, by default only for this machine: no password.
         port: Port to listen on; 0 for any free one.
         planning: single-step: observe before every sub-task; multi-step: plan all
             sub-tasks from the first observation.
         policy_args: Arguments of a class; or, with --check, the environment of
             a model server.
         protocol: lemma; or vla-eval, only for motor commands.
-        check: Address of a server; request one decision and compare it with the known
-            answer.
+        check: Address of a server; compare one decision of it with the known answer.
         as_json: With --check, print one JSON object.
 
     Returns:

@@ -138,8 +138,7 @@ def write_dataset(
     Args:
         order: The settings.
         engine: Workers that run the jobs.
-        advance: Called with the number of existing episodes, then with that of newly
-            finished ones.
+        advance: Called with the numbers of existing and of newly finished episodes.
 
     Returns:
         The outcome.

@@ -135,8 +135,7 @@ def render(
         order: Options of the rendering.
         form: Options of the images.
         engine: Workers that run the jobs.
-        advance: Called with the number of existing episodes, then with that of newly
-            finished ones.
+        advance: Called with the numbers of existing and of newly finished episodes.
 
     Returns:
         The outcome.

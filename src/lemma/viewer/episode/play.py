@@ -126,11 +126,7 @@ class Play:
         return self.wait(wait_s)
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end of its thread, and return whether it has ended.
-
-        Args:
-            seconds: Longest time to wait [s].
-        """
+        """Return whether its thread ends within a time [s]."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
@@ -165,8 +161,7 @@ class Play:
         """Let a visitor lead from now on; interrupt the running sub-task.
 
         Raises:
-            InvalidConfigError: No episode runs, another visitor leads, or the policy
-                sends motor commands.
+            InvalidConfigError: No episode runs, or a visitor or motor commands lead.
         """
         if self._goes_on and self._controls:
             raise InvalidConfigError(
@@ -192,8 +187,7 @@ class Play:
         """Return the log of the policy's and the visitor's actions so far.
 
         Raises:
-            InvalidConfigError: No visitor did anything, or the policy sends motor
-                commands.
+            InvalidConfigError: No visitor acted, or the policy sends motor commands.
         """
         if self._controls and self.teleoperator is None:
             raise InvalidConfigError("Motor commands of policies are not kept.")
@@ -379,8 +373,7 @@ class Play:
     def reached(self) -> Mapping[str, Any]:
         """Return the stages of the episode, as in lines of results.
 
-        They are empty before the first action, and if the sentence has another goal
-        than the instance.
+        They are empty before the first action, and if the sentence has another goal.
         """
         rollout = self.rollout
         if rollout is None or not (self.acts and self._goal_is_known):
