@@ -7,7 +7,7 @@ from lemma.scene.objects.entity import STICK
 from lemma.tasks.suite import LISTED, SUITES, TASKS, default_split, load_instance
 
 _HEADER = (
-    *("task", "what happens, and how it is asked for"),
+    *("task", "summary and instruction"),
     *("sub-\ntasks", "objects", "distractors", "stick"),
 )
 

@@ -237,7 +237,7 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
     found = Recording.of(title, episode, lines, taker.frames)
     if len(lines) == kept and not found.success:
-        return replace(found, because="The expert knows no way from there.")
+        return replace(found, because="The expert finds no plan from there.")
     return found
 
 

@@ -120,7 +120,7 @@ class Play:
             wait_s: Longest time to wait for the end of its thread [s].
 
         Returns:
-            Whether the thread has ended; it goes on while a policy hangs.
+            Whether the thread has ended; it runs while a policy hangs.
         """
         self.transport.abandon()
         return self.wait(wait_s)

@@ -136,7 +136,7 @@ class Session:
             self.ask(replace(play.request, own=own), acts=False)
         elif name in play.rollout.instance.scene.robot_names:
             raise InvalidConfigError(
-                "Robots are moved before an episode or after it, not while it goes on."
+                "Robots can be moved only before or after an episode."
             )
         else:
             play.nudge(name, pose)
