@@ -140,7 +140,7 @@ def test_damage_that_stays_is_named_and_does_not_last(
     hub.damaged["val/stack.parquet"] = 100
     back = tmp_path / "back"
     text = complaint(capsys, "pull", NAME, back)
-    assert "val/stack.parquet arrived damaged" in text
+    assert "val/stack.parquet was damaged" in text
     assert "Run the same command again" in text
     hub.damaged.clear()
     pull(NAME, back)
@@ -166,8 +166,8 @@ PUSH, PULL = ("push-to-hub", "HERE", NAME), ("pull", NAME, "BACK")
 @pytest.mark.parametrize(
     ("words", "hub_is", "told"),
     [
-        (PUSH, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
-        (PULL, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
+        (PUSH, {"token": "hf_of_somebody_else"}, "denies access to me/data (401).* auth"),
+        (PULL, {"token": "hf_of_somebody_else"}, "denies access to me/data (401).* auth"),
         (PUSH, {"status": 403}, "your token lacks the permission"),
         (PUSH, {"status": 500}, "answered 500 about me/data.*Try again later"),
         (PULL, {"status": 500}, "answered 500 about me/data.*Try again later"),
