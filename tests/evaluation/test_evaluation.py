@@ -124,7 +124,7 @@ def test_printed_it_is_a_table_and_says_what_went_wrong() -> None:
     assert lines[0] == "| success [%] | high-level | human |"
     assert lines[2].startswith("| pass | 0.0 (0-79) | 0.0 (0-79) |")
     assert lines[4] == "| mean of 2 tasks | 0.0 | 0.0 |"
-    assert "4 of 4 episodes failed because of an error" in told
+    assert "4 of 4 episodes failed because the policy did" in told
     assert "RuntimeError: <b>no</b>" in told
 
 
