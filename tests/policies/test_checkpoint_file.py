@@ -156,7 +156,7 @@ def test_other_kinds_of_weights_are_told_apart(tmp_path: Path, published: Path) 
         load_model("moves")
     other = tmp_path / "weights.safetensors"
     write_weights(other, {"a": torch.zeros(2)}, WeightsMetadata("reachnet", {}))
-    with pytest.raises(WeightsError, match="leave out 'lerobot:'"):
+    with pytest.raises(WeightsError, match="Leave out 'lerobot:'"):
         unpack_checkpoint(other, tmp_path)
 
 
