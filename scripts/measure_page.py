@@ -1,4 +1,4 @@
-"""Measure how the page of ``lemma play`` keeps up with an episode at real time.
+"""Measure the page of ``lemma play`` during an episode at real time.
 
 python scripts/measure_page.py pass
 """
@@ -35,20 +35,20 @@ _LONGEST_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class PageFigures:
-    """How a page runs on this machine while the expert acts at real time."""
+    """Performance of a page on this machine while the expert acts at real time."""
 
     up_s: float
-    """Until the page answers, from the call that opens it [s]."""
+    """Time from the call that opens the page until it answers [s]."""
     first_scene_s: float
-    """Until a visitor has the scene, from the call that opens the page [s]."""
+    """Time from the call that opens the page until a visitor has the scene [s]."""
     updates_hz: float
-    """How often a second the scene was moved, while robots acted."""
+    """Updates of the scene per second while robots act [Hz]."""
     slowest_ms: float
-    """Between two messages to a visitor: of 100 such times, 99 are shorter [ms]."""
+    """99th percentile of the time between two messages to a visitor [ms]."""
     realtime: float
-    """Simulated seconds that were shown a second."""
+    """Simulated seconds shown per second."""
     kb_s: float
-    """Data sent to a visitor a second [kB]."""
+    """Data rate to a visitor [kB/s]."""
     same_state: bool
     """Whether the episode ended in the same state as without a page."""
 
@@ -61,7 +61,7 @@ class PageFigures:
 
 
 class _Visitor:
-    """Somebody who looks: takes what the page sends, and notes when."""
+    """A client that receives the page's messages and records their times."""
 
     def __init__(self, socket_: Connection) -> None:
         self._socket = socket_
@@ -75,20 +75,20 @@ class _Visitor:
             self.arrived.append((time.perf_counter(), len(message)))
 
     def leave(self) -> None:
-        """Go away."""
+        """Close the connection."""
         self._socket.close()
         self._thread.join()
 
 
 def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
-    """Open a page, let somebody look at it, and let the expert act there.
+    """Open a page with one visitor, and run the expert in it.
 
     Args:
         instance: The instance to play.
-        speed: How many times real time.
+        speed: Speed as a multiple of real time.
 
     Raises:
-        InvalidConfigError: The expert did not come to an end.
+        InvalidConfigError: The expert did not finish.
     """
     begin = time.perf_counter()
     request = EpisodeRequest(
@@ -103,7 +103,7 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
         up_s = time.perf_counter() - begin
         address = page.address.replace("http", "ws")
         protocol = Subprotocol(f"viser-v{viser.__version__}")
-        # Neither proxies nor a limit of size: a scene comes at once.
+        # Without proxies and limit of size, because a scene is one message.
         with connect(
             address, subprotocols=[protocol], max_size=None, proxy=None
         ) as socket_:
@@ -125,7 +125,7 @@ def measure_page(instance: Instance, speed: float = 1.0) -> PageFigures:
 
 
 def _watch(page: Page, visitor: _Visitor) -> tuple[float, float, float, float]:
-    """Return updates a second, the slowest [ms], pace, and kB a second."""
+    """Return updates [Hz], the slowest [ms], the real-time factor, and rate [kB/s]."""
     transport = page.session.play.transport
     _wait(lambda: transport.cursor_s > 0.0)
     start, shown_s, updates = time.perf_counter(), transport.cursor_s, page.updates
@@ -145,7 +145,7 @@ def _watch(page: Page, visitor: _Visitor) -> tuple[float, float, float, float]:
 
 
 def _alone(instance: Instance) -> str:
-    """Return the hash of the last state of the same episode in ``lemma evaluate``."""
+    """Return the hash of the final state of the same episode without a page."""
     rollout = Rollout(instance)
     for _ in roll_out([rollout], Player.load(PolicySpec(ORACLE))):
         pass

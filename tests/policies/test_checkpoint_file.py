@@ -192,5 +192,5 @@ def test_a_folder_that_was_moved_says_no_steps(
     tmp_path: Path, checkpoint: Path
 ) -> None:
     moved = checkpoint.rename(tmp_path / "mine")
-    with pytest.raises(WeightsError, match="how many steps"):
+    with pytest.raises(WeightsError, match="lacks the number of steps"):
         pack_checkpoint(moved, tmp_path / "a", COMMAND, Fineness(COARSE))

@@ -183,7 +183,7 @@ class Claim:
             elif team is not None and team["expert_poses"] > knows:
                 yield f"{_named(row)} has the expert's poses, but is not an oracle's."
             elif control and not commands:
-                yield f"{_named(row)} is not of control level, but the result is."
+                yield f"{_named(row)} has no motor commands, but the result has."
             elif commands and not control:
                 yield f"{_named(row)} is of control level, but the result is not."
             else:

@@ -105,8 +105,8 @@ def _device(name: str) -> torch.device:
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
         raise InvalidConfigError(
-            "torch finds no CUDA device. Leave out --device, or install a torch that "
-            "is built for this machine's driver."
+            "No GPU is available: torch finds no CUDA device. Leave out --device, or "
+            "install a torch that is built for this machine's driver."
         )
     if name == "cpu" or not there:
         return torch.device("cpu")
