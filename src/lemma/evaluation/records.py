@@ -327,8 +327,7 @@ def check_about(about: object, path: Path) -> None:
     splits = (*SPLITS, FREE_SPLIT, OWN_SPLIT)
     if found.split not in splits:
         raise DatasetError(
-            f"{path} has an unknown split: {found.split!r}. Known: "
-            f"{', '.join(splits)}."
+            f"{path} has an unknown split: {found.split!r}. Known: {', '.join(splits)}."
         )
 
 

@@ -100,8 +100,7 @@ class Labels:
     """The (top, bottom) entities that the instruction asks for."""
     robot_colors: list[tuple[str, ...]]
     perturbed: Tensor
-    """Whether the execution of the episode was perturbed, (B,) bool. Then the decisions
-    do not explain its frames."""
+    """Whether a perturbation, not the decision alone, explains the frames, (B,) bool."""
     kind_and_height: Tensor | None = None
     """Only in data of key poses: index into ``KINDS`` and height [m], (B, 2);
     ``pick_pose`` and ``place_pose`` are then the key pose."""

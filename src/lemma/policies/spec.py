@@ -145,9 +145,8 @@ class PolicySpec:
     """``"turns"``: one robot works at a time; ``"together"``: the policy decides for
     each free robot, and several robots work at once."""
     adapter: str = ""
-    """Adapter of a sequential policy whose robots act together, one of
-    :data:`ADAPTERS`, see :mod:`.together.adapters`. If empty, a team policy needs none,
-    and others get ``"greedy"``."""
+    """Adapter of a sequential policy that acts together, one of :data:`ADAPTERS`; see
+    :mod:`.together.adapters`. If empty, ``"greedy"`` for policies that need one."""
 
     def __post_init__(self) -> None:
         """Check the names and the time limit, and create its planners."""
