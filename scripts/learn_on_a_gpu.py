@@ -34,7 +34,7 @@ class Learner:
     """Plain PPO with a Gaussian policy."""
 
     def __init__(self, env: GpuVecEnv, seed: int = 0) -> None:
-        """Create the networks of actor and critic; the seed is for both and the worlds."""
+        """Create actor and critic; the seed is for both and for the worlds."""
         torch.manual_seed(seed)
         self.env, device = env, env.device
         self.actor, self.critic = network().to(device), network(out=1).to(device)

@@ -422,12 +422,7 @@ class PlaceHead(nn.Module):
 
 
 def reader(width: int, out: int) -> nn.Sequential:
-    """Return a small network on the features of a cell.
-
-    Args:
-        width: Number of inputs.
-        out: Number of outputs.
-    """
+    """Return a small network from ``width`` features of a cell to ``out`` numbers."""
     return nn.Sequential(
         nn.Linear(width, _READ_WIDTH),
         nn.SiLU(),
