@@ -100,7 +100,7 @@ class Labels:
     """The (top, bottom) entities that the instruction asks for."""
     robot_colors: list[tuple[str, ...]]
     perturbed: Tensor
-    """Whether a perturbation, not the decision alone, explains the frames, (B,) bool."""
+    """Whether the frames also depend on a perturbation, (B,) bool."""
     kind_and_height: Tensor | None = None
     """Only in data of key poses: index into ``KINDS`` and height [m], (B, 2);
     ``pick_pose`` and ``place_pose`` are then the key pose."""
