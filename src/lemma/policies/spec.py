@@ -173,8 +173,8 @@ class PolicySpec:
             raise UnknownNameError("level of a policy", self.level, (CONTROL,))
         if self.controls and (self.gta or self.planning != PLANNINGS[0]):
             raise InvalidConfigError(
-                "Multi-step planning and ground-truth allocation apply to sub-tasks, "
-                "not to motor commands. Leave out these options."
+                "Motor commands allow neither multi-step planning nor ground-truth "
+                "allocation, which apply to sub-tasks. Leave out these options."
             )
         own = is_model_server(self.name) or (
             ":" in self.name and "://" not in self.name

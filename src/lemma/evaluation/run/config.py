@@ -119,8 +119,8 @@ class EvaluationConfig:
         known("disturbance", self.disturb, DISTURBANCES)
         if self.policy.controls:
             raise InvalidConfigError(
-                "A policy at control level sets the speed of the arms itself, so there "
-                "are no disturbances of it. Leave out the disturbance."
+                "A policy with motor commands sets the speed of the arms itself, so it "
+                "has no disturbances. Leave out the disturbance."
             )
 
     def _check_own(self, instance: Instance) -> None:
