@@ -51,7 +51,7 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
         train(config(data, tmp_path, options=("width",)))
     with pytest.raises(InvalidConfigError, match=r"Expected `int`, got `str`.*width"):
         train(config(data, tmp_path, options=("width=wide",)))
-    with pytest.raises(InvalidConfigError, match="part of what has one"):
+    with pytest.raises(InvalidConfigError, match="conflicts with another"):
         train(config(data, tmp_path, options=("width=4", "width.deep=3")))
     with pytest.raises(UnknownNameError, match="Unknown model 'tinny'"):
         train(config(data, tmp_path, model="tinny"))
