@@ -1,8 +1,8 @@
-"""Write the columns into docs/dataset_format.md, as the code defines them.
+"""Write the columns of data sets into docs/dataset_format.md from the code.
 
     python scripts/write_dataset_format.py [--check]
 
-With --check nothing is written; the exit code says whether the page is up to date.
+With --check nothing is written; the exit code is 0 if the page is up to date.
 """
 
 import sys
@@ -12,11 +12,11 @@ from lemma.dataset.recipe.schema import describe
 
 PAGE = Path(__file__).parents[1] / "docs" / "dataset_format.md"
 BLOCKS = {"columns": describe(), "perturbed columns": describe(perturbed=True)}
-"""Generated texts, by the name in the marks around them."""
+"""Generated texts by name, as in the marks around them."""
 
 
 def with_columns(page: str) -> str:
-    """Return the page with the columns as they are now."""
+    """Return the page with the present columns."""
     for name, text in BLOCKS.items():
         start = f"<!-- {name}: written by scripts/write_dataset_format.py -->\n"
         end = f"<!-- end of {name} -->\n"

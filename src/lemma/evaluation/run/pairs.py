@@ -1,7 +1,7 @@
-"""Pairs of which one can be done: to act on the one, and to refuse the other.
+"""Pairs of a feasible and an infeasible instance: solve the one, refuse the other.
 
-A policy refuses by deciding to stop before anything was done, with an explanation that
-says who lacks what. It is played by the same rules as everywhere.
+A policy refuses if its first decision is to stop, with an explanation of what is out of
+whose reach. The rules are those of other episodes.
 """
 
 from typing import Any
