@@ -161,10 +161,9 @@ def evaluate(
     complain_of(rows)
     teams = result.teams
     if as_json:
-        team_fields = {"teams": [asdict(each) for each in teams]} if teams else {}
-        if result.pairs:
-            team_fields["pairs"] = [asdict(each) for each in result.pairs]
-        print_json(_rates(result.cells, config.kinds) | team_fields)
+        more: dict[str, Any] = {"teams": teams, "pairs": result.pairs}
+        listed = {k: [asdict(one) for one in v] for k, v in more.items() if v}
+        print_json(_rates(result.cells, config.kinds) | listed)
     elif result.pairs:
         output().print(pair_table((p.kind, p) for p in result.pairs).terminal())
     else:
