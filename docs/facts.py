@@ -2,8 +2,8 @@
 
 ``task-facts`` shows one instance of a task: who reaches what, the plan and the
 instructions; with ``replays`` set (``make docs REPLAYS=1``) it plays it and adds a page
-to turn it around. ``arms`` lists the arms and their reach, ``attacks`` those
-of the audit. ``constants`` makes a table of lines
+to turn it around. ``api`` documents the names in it, ``arms`` lists the arms and their
+reach, ``attacks`` those of the audit. ``constants`` makes a table of lines
 ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
 ``inserted-words`` lists what paraphrases have in common with the unseen templates.
 """
@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from inspect import isclass
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +175,21 @@ class Constants(Generated):
             yield f"| {what} | {_value(path, unit)} | `{name}` | {why} |"
 
 
+class Api(Generated):
+    """Classes and functions by their docstrings: dotted names on its lines."""
+
+    has_content = True
+
+    def lines(self) -> Iterator[str]:
+        """Return a directive of autodoc for each."""
+        yield "```{eval-rst}"
+        for name in " ".join(self.content).split():
+            module, _, last = name.rpartition(".")
+            found = getattr(import_module(module), last)
+            yield f".. auto{'class' if isclass(found) else 'function'}:: {name}"
+        yield "```"
+
+
 class Arms(Generated):
     """A table of every arm in the registry: where it works, what it could touch."""
 
@@ -264,6 +280,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     logging.getLogger("websockets").setLevel(logging.WARNING)
     app.add_config_value("replays", False, "env", types=(bool, int, str))
     app.add_directive("task-facts", TaskFacts)
+    app.add_directive("api", Api)
     app.add_directive("arms", Arms)
     app.add_directive("attacks", Attacks)
     app.add_directive("constants", Constants)
