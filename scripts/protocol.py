@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lemma.core.workers.resumable import flat
 from lemma.evaluation.protocol.rules import PROTOCOL, in_force
 from lemma.evaluation.protocol.suites import OTHERS, definition, sha256_of
 
@@ -42,17 +41,16 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
   of the protocol. The other tasks have no blind sentences and no times of the expert.
 
 [](evaluation.md) explains the words. The SHA-256 of each list of instances stands in
-`protocol.json` alone.
+`protocol.json` alone; the rest of the file:
 
-| what | value |
-|:---|:---|
+```{{protocol}}
+```
 """
-_LISTS = "lists_sha256"
 
 
 def text(protocol: Mapping[str, Any]) -> str:
     """Return the page of a protocol."""
-    page = _INTRODUCTION.format(
+    return _INTRODUCTION.format(
         name=protocol["name"],
         sha256=sha256_of(protocol),
         suites="\n".join(
@@ -60,16 +58,6 @@ def text(protocol: Mapping[str, Any]) -> str:
             for suite in OTHERS
         ),
     )
-    shown = {k: v for k, v in protocol.items() if k not in ("name", _LISTS)}
-    return page + "".join(f"| `{k}` | {_shown(v)} |\n" for k, v in flat(shown))
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, list):
-        return ", ".join(f"`{one}`" for one in value)
-    if isinstance(value, str) and " " not in value:
-        return f"`{value}`"
-    return str(value)
 
 
 if __name__ == "__main__":

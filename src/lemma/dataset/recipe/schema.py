@@ -264,7 +264,7 @@ def from_table(table: pa.Table) -> list[EpisodeRecord]:
 
 
 def describe(*, perturbed: bool = False) -> str:
-    """Return the schema as a Markdown table, for ``docs/dataset_format.md``.
+    """Return the schema as a Markdown table, for cards and documentation.
 
     Args:
         perturbed: Whether to describe instead the columns that only recipes of
