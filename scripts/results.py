@@ -5,6 +5,7 @@ its figure, a page for each topic and a CSV file for each table in docs/results/
 Without results, the page and the README say that nothing was run.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,7 +68,7 @@ TITLES = dict(
     )
 )
 BY_TASK = ": losses by task"
-LONG = ("Distractors", "Robot types")
+LONG = ("Distractors", "Robot types", "Stages", "Where the points are lost")
 """Tables that begin so, or end with :data:`BY_TASK`, are too long for a page."""
 _PAGE = """\
 # Results
@@ -226,16 +227,27 @@ def _topic_page(topic: str, found: Sequence[Section]) -> str:
             note += f" {NOT_RUN.capitalize()} yet: {', '.join(missing)}."
         body = "\n\n".join(filter(None, (_wrapped(note), played.markdown())))
         text += f"\n## {section.title}\n\n{body}"
-    for title, listed in (("Long tables", long), ("Not run yet", empty)):
+    for title, listed in (("Long tables, as CSV", long), ("Not run yet", empty)):
         if listed:
-            links = (f"[{section.title}]({section.name}.csv)" for section in listed)
-            listing = _wrapped(f"As CSV: {'; '.join(links)}.")
-            text += f"\n## {title}\n\n{listing}\n"
+            text += f"\n## {title}\n\n"
+        for section in listed:
+            link = f"- [{section.title}]({section.name}.csv)"
+            note = "" if section.title.endswith(BY_TASK) else section.note
+            text += _wrapped(f"{link}: {note}" if note else link, "  ") + "\n"
     return text
 
 
-def _wrapped(text: str) -> str:
-    return fill(text, 88, break_long_words=False, break_on_hyphens=False)
+def _wrapped(text: str, indent: str = "") -> str:
+    # Code stays in one line.
+    held = re.sub("`[^`]+`", lambda match: match[0].replace(" ", "\0"), text)
+    lines = fill(
+        held,
+        88,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return lines.replace("\0", " ")
 
 
 def _played(table: Table) -> tuple[Table, list[str]]:
