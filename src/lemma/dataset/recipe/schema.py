@@ -266,7 +266,7 @@ def from_table(table: pa.Table) -> list[EpisodeRecord]:
 
 
 def describe(*, perturbed: bool = False) -> str:
-    """Return the schema as a Markdown table, for ``docs/dataset_format.md``.
+    """Return the schema as a Markdown table, for cards and documentation.
 
     Args:
         perturbed: Whether to describe only the additional columns of recipes of

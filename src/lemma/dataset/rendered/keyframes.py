@@ -161,7 +161,7 @@ def _tensor(scalar: pa.DataType, *shape: int) -> pa.DataType:
 
 
 def describe() -> str:
-    """Return all columns as Markdown, for ``docs/rendered_format.md``."""
+    """Return all columns as Markdown, for cards and documentation."""
     header = Header(FORM, "", "", {}, "", 2, 640, 480, RASTER, ("",) * 11)
     lines = []
     for part, columns in zip(PARTS, (map_columns, camera_columns), strict=True):
