@@ -135,6 +135,13 @@ def known_entities(task: str = "") -> tuple[str, ...]:
     return tuple(dict.fromkeys((*ENTITIES, *every)))
 
 
+def entities_of_tasks() -> frozenset[str]:
+    """Return all entities that only tables of one task have."""
+    tasks = {kind.task for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS)}
+    found = (set(known_entities(task)) - set(known_entities()) for task in tasks)
+    return frozenset().union(*found)
+
+
 def extra_entities(task: str = "") -> tuple[str, ...]:
     """Return the entities of :func:`known_entities` behind the benchmark's own."""
     return known_entities(task)[len(ENTITIES) :]
