@@ -1,7 +1,7 @@
 """Freeze the protocol, and write docs/protocol.md from it.
 
-Run from the repository: ``python scripts/protocol.py``. A protocol that has results is
-changed under a new name, ``NAME`` in ``lemma.evaluation.protocol.rules``.
+Run from the repository: ``python scripts/protocol.py``. If a protocol has results, a
+changed one needs a new name, ``NAME`` in ``lemma.evaluation.protocol.rules``.
 """
 
 import json

@@ -2,7 +2,7 @@
 
 Run from the repository: ``python scripts/results.py``. It writes docs/results.md with
 its figure, a page for each topic and a CSV file for each table in docs/results/.
-Without results, the page and the README say that nothing was run.
+Without results, the page and the README state that there are none.
 """
 
 import re
@@ -130,13 +130,13 @@ each model has its own. [](results/rows.md#trainings) lists all trainings.*
 
 
 def entries(results: Path = RESULTS) -> list[PolicyResults]:
-    """Return what a folder of results holds, with the rows that are missing."""
+    """Return the results in a folder by policy, including rows without results."""
     found = read_results([results]) if results.exists() else []
     return entries_of(found, complete=True)
 
 
 def pages(results: Path = RESULTS) -> dict[Path, str]:
-    """Return all that is written below docs, by file."""
+    """Return the contents of all written files below docs, by path."""
     every = entries(results)
     curves = Section(
         "Learning curves",
@@ -173,7 +173,7 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
 
 
 def _on_white(figure: Figure) -> str:
-    """Return a figure as a file; its words are dark, and pages may be, too."""
+    """Return a figure's SVG with a white background, for pages in dark mode."""
     begin, end, rest = standalone(figure.svg).partition(">")
     white = '<rect width="100%" height="100%" fill="#ffffff"/>'
     return f"{begin}{end}{white}{rest}"
@@ -269,7 +269,7 @@ def _played(table: Table) -> tuple[Table, list[str]]:
 
 
 def _headliners(every: Sequence[PolicyResults]) -> list[PolicyResults]:
-    """Return those that are compared first: rows of the paper, and ours."""
+    """Return the policies of the main tables: rows of the paper, and ours."""
     return [
         entry for entry in every if entry.results and entry.suite in ("", *SUITES[:2])
     ]
@@ -306,7 +306,7 @@ def _causes(played: Sequence[PolicyResults]) -> Table:
 
 
 def headline(results: Path = RESULTS) -> str:
-    """Return what the README says of results: rows of the paper, and ours."""
+    """Return the README's text about results: rows of the paper, and ours."""
     played = _headliners(entries(results))
     if not played:
         return NOTHING
@@ -316,7 +316,7 @@ def headline(results: Path = RESULTS) -> str:
 
 
 def readme(results: Path = RESULTS) -> str:
-    """Return the README with its table made anew."""
+    """Return the README with the present table."""
     before, found, rest = README.read_text(encoding="utf-8").partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not (found and ended):
@@ -325,7 +325,7 @@ def readme(results: Path = RESULTS) -> str:
 
 
 def main() -> None:
-    """Write everything; tables that are no more are removed."""
+    """Write all files, and remove outdated tables."""
     FOLDER.mkdir(exist_ok=True)
     written = pages()
     for old in {*FOLDER.glob("*.csv"), *FOLDER.glob("*.md")} - set(written):

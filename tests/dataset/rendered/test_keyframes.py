@@ -156,7 +156,7 @@ def test_another_version_is_explained(tmp_path: Path) -> None:
 
 def test_other_arrow_files_are_refused(tmp_path: Path) -> None:
     other_header(tmp_path / "other.arrow", form="sounds")
-    with pytest.raises(DatasetError, match="holds no rendered keyframes"):
+    with pytest.raises(DatasetError, match="has no rendered keyframes"):
         KeyframeFile(tmp_path / "other.arrow")
 
 
