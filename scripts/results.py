@@ -225,7 +225,9 @@ def _topic_page(topic: str, found: Sequence[Section]) -> str:
         note = section.note if len(samples) < 2 else section.caption
         body = [_wrapped(note), played.markdown()]
         if section.title == HOW and missing:
-            body.insert(1, _wrapped(f"Rows that are {NOT_RUN}: {', '.join(missing)}."))
+            body.insert(
+                1, _wrapped(f"Rows that are {NOT_RUN} yet: {', '.join(missing)}.")
+            )
         text += f"\n## {section.title}\n\n" + "\n\n".join(filter(None, body))
     for title, listed in (("Long tables, as CSV", long), ("Not run yet", empty)):
         if listed:
