@@ -46,6 +46,8 @@ _SWUNG_RAD = 0.25
 _TIMEOUT_S = 7.0
 _STALL_S = 1.0
 _STALL_PROGRESS_M = 0.001
+_TRY_M = 0.02
+"""A hand rises so far until it has felt that a thing is too heavy."""
 _GRASP_LEAST_M = 0.015
 """Narrower than this the fingers hold nothing that exists here."""
 _OPEN_M = FINGER_OPENING_M - 0.005
@@ -88,6 +90,17 @@ class Moves:
             raise SkillFailure(
                 Outcome.MISSED_GRASP, f"The fingers of {self._name} closed on nothing."
             )
+        yield from self._feel_weight(low)
+
+    def _feel_weight(self, low: Stand) -> Motion:
+        """Fail where what was grasped is too heavy, after a try to lift it."""
+        held, spec = self.scene.held().get(self._name), self.scene.spec
+        if held is None:
+            return
+        why = self.arm.robot.placement.overload(self._name, spec.placement(held))
+        if why:
+            yield from self.rise(low, low[2] + _TRY_M)
+            raise SkillFailure(Outcome.OVERLOAD, why)
 
     def release(self, stand: Stand) -> Motion:
         """Open the fingers and rise."""

@@ -18,6 +18,8 @@ class Outcome(StrEnum):
     """The robot's arm cannot get there."""
     NOTHING_TO_PICK = "nothing_to_pick"
     """There is nothing graspable where the gripper should close."""
+    OVERLOAD = "overload"
+    """What it grasped is too heavy for the robot's hand or its arm."""
     MISSED_GRASP = "missed_grasp"
     """The fingers closed on nothing."""
     DROPPED = "dropped"
@@ -41,7 +43,13 @@ class Outcome(StrEnum):
 
 
 REFUSED = frozenset(
-    {Outcome.INVALID, Outcome.UNREACHABLE, Outcome.NOTHING_TO_PICK, Outcome.FALLEN}
+    {
+        Outcome.INVALID,
+        Outcome.UNREACHABLE,
+        Outcome.NOTHING_TO_PICK,
+        Outcome.OVERLOAD,
+        Outcome.FALLEN,
+    }
 )
 """Ends of what a robot cannot do: a real arm would stop for its protection."""
 

@@ -50,8 +50,8 @@ def ground_or_refuse(
 
     Returns:
         The grounded sub-task; or a result that took no time: ``fallen`` where what it
-        needs is lost, ``invalid`` where nobody could do it, ``unreachable`` where this
-        robot cannot.
+        needs is lost, ``invalid`` where nobody could do it, ``overload`` where it
+        reaches what it cannot carry, ``unreachable`` where else this robot cannot.
 
     Raises:
         UnknownNameError: There is no such robot in this scene.
@@ -65,6 +65,10 @@ def ground_or_refuse(
     option = grounder.ground(subtask, now)
     if option is not None:
         return option
+    if subtask.primitive in (Primitive.MOVE, Primitive.LIFT):
+        too_heavy = grounder.overload(subtask.robot, subtask.pick)
+        if too_heavy and grounder.reaches(subtask.robot, now.poses[subtask.pick]):
+            return SkillResult(Outcome.OVERLOAD, too_heavy, 0.0)
     reason = _why_unreachable(subtask, now, grounder)
     return SkillResult(Outcome.UNREACHABLE, reason, 0.0)
 

@@ -8,9 +8,11 @@ from lemma.core.arguments import known, real
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
+from lemma.core.seeding import ordered_sum
+from lemma.robots.hand import HANDS, STANDARD, carries_kg
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
-from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
@@ -19,6 +21,7 @@ PAIR_COLORS = ROBOT_COLORS[:2]
 """The colors that robots of a pair are drawn from."""
 _LEAST_TOP_M = 0.3
 """A table top is at least so wide."""
+_LEAST_KG, _MOST_KG = 0.01, 100.0
 ROOM_M = 10.0
 """Nothing is placed farther from the middle of the table, along x or y [m]."""
 
@@ -33,17 +36,39 @@ class RobotPlacement:
     """One of :data:`ROBOT_COLORS`."""
     base: Pose2
     """World from base: the yaw points the robot's front at the table."""
+    hand: str = STANDARD
+    """A name in ``lemma.robots.hand.HANDS``."""
 
     def __post_init__(self) -> None:
         """Check the names and the numbers.
 
         Raises:
-            UnknownNameError: No such arm or color.
+            UnknownNameError: No such arm, hand or color.
             InvalidConfigError: The base is no pose in the room.
         """
         ARMS[self.arm]
+        HANDS[self.hand]
         known("robot color", self.color, ROBOT_COLORS)
         _check_pose(f"base of the {self.arm}", self.base)
+
+    @property
+    def carries_kg(self) -> float:
+        """Largest mass that it may carry, for its hand and its arm [kg]."""
+        return carries_kg(self.arm, self.hand)
+
+    def overload(self, name: str, thing: "ObjectPlacement") -> str:
+        """Return why an object is too heavy for it; empty if it is not.
+
+        Args:
+            name: Its name.
+            thing: The object.
+        """
+        if thing.weight_kg <= self.carries_kg:
+            return ""
+        return (
+            f"The {thing.name} weighs {thing.weight_kg:g} kg, but {name} ({self.arm}, "
+            f"{self.hand} hand) carries {self.carries_kg:.2g} kg."
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +82,31 @@ class ObjectPlacement:
     may have any word: the stick is ``"yellow"``."""
     pose: Pose2
     """World from object, lying on the table."""
+    mass_kg: float | None = None
+    """Its mass [kg]; None where it is that of its kind. Only a box of one part may have
+    another."""
 
     def __post_init__(self) -> None:
         """Check the names and the numbers.
 
         Raises:
             UnknownNameError: No such kind or color.
-            InvalidConfigError: The pose is none in the room.
+            InvalidConfigError: The pose is none in the room, or it cannot have such a
+                mass.
         """
         if OBJECT_KINDS[self.kind].colored:
             OBJECT_COLORS[self.color]
         _check_pose(f"pose of the {self.name}", self.pose)
+        if self.mass_kg is not None:
+            _check_mass(self.name, OBJECT_KINDS[self.kind], self.mass_kg)
+
+    @property
+    def weight_kg(self) -> float:
+        """Its mass, be it its own or its kind's [kg]; 0 for what is fixed."""
+        if self.mass_kg is not None:
+            return self.mass_kg
+        parts = OBJECT_KINDS[self.kind].parts
+        return ordered_sum(part.mass_kg or 0.0 for part in parts)
 
     @property
     def entity(self) -> Entity:
@@ -163,6 +202,19 @@ def _check_gap(gap: object) -> None:
     if not left < right:
         raise InvalidConfigError(
             f"gap_m={shown(gap)} ends where it begins. Valid: x from and to [m]."
+        )
+
+
+def _check_mass(name: str, kind: ObjectKind, mass_kg: object) -> None:
+    """Check that a thing can have a mass of its own.
+
+    Raises:
+        InvalidConfigError: It cannot.
+    """
+    real(f"mass of the {name}", mass_kg, _LEAST_KG, _MOST_KG)
+    if kind.fixed or [part.shape for part in kind.parts] != ["box"]:
+        raise InvalidConfigError(
+            f"The {name} cannot have a mass of its own: only a box of one part can."
         )
 
 

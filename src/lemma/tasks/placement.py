@@ -106,7 +106,13 @@ class ObjectPlacer:
         """Put a pad into a zone; see :meth:`put`."""
         return self.put("pad", zone, color)
 
-    def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
+    def put(
+        self,
+        kind: str,
+        zone: ZoneLike,
+        color: str | None = None,
+        mass_kg: float | None = None,
+    ) -> str:
         """Put an object into a zone.
 
         Args:
@@ -114,6 +120,7 @@ class ObjectPlacer:
             zone: Where it may lie.
             color: Its color; one of the benchmark's that the kind has not used yet if
                 None. Colors that were registered are put only where they are named.
+            mass_kg: Its mass, if it is not that of its kind [kg].
 
         Returns:
             The entity's name.
@@ -141,7 +148,7 @@ class ObjectPlacer:
         chosen = color or free[0]
         if chosen in free:
             free.remove(chosen)
-        placed = ObjectPlacement(kind, chosen, pose)
+        placed = ObjectPlacement(kind, chosen, pose, mass_kg)
         self.objects.append(placed)
         self._zones[placed.name] = wanted
         return placed.name

@@ -1,7 +1,7 @@
 """From a key to an instance: rejection sampling with named random streams."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,17 +114,25 @@ def _place_team(
     order: tuple[int, ...],
     rng: np.random.Generator,
 ) -> tuple[tuple[RobotPlacement, ...], Gap | None]:
-    """Stand the robots around the table.
+    """Stand the robots around the table, each with its hand.
 
     Raises:
         PlacementError: They do not fit on it.
     """
+    gap_m = None
     if len(team) == 2:
-        return place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
-    robots = LAYOUTS[task.layout].place(team, rng)
-    if robots is None:
-        raise PlacementError(task.layout)
-    return robots, None
+        there, gap_m = place_pair(
+            team, order, rng, fixed=task.fixed, apart=task.apart
+        )
+    else:
+        placed = LAYOUTS[task.layout].place(team, rng)
+        if placed is None:
+            raise PlacementError(task.layout)
+        there = placed
+    robots = list(there)
+    for role, hand in zip(order, task.hands, strict=False):
+        robots[role] = replace(robots[role], hand=hand)
+    return tuple(robots), gap_m
 
 
 def _distract(placer: ObjectPlacer) -> str:

@@ -8,6 +8,7 @@ from gymnasium.envs import registration
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry, check_fields
+from lemma.robots.hand import HANDS
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
@@ -47,6 +48,9 @@ class Task:
     rules: tuple[str, ...] = ()
     """Kinds of rules of which each instance has one, each as likely; ``arrange`` finds
     it as ``placer.rule``. Names in :data:`~lemma.tasks.teams.rule.RULES`."""
+    hands: tuple[str, ...] = ()
+    """Hands of the robots by role, names in ``lemma.robots.hand.HANDS``: that of
+    ``placer.order[0]`` first. All have the standard one if there are none."""
     layout: str = "pair"
     """Where the robots stand: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False
@@ -81,6 +85,13 @@ class Task:
                 f"or more, of {size} arm types each, such as "
                 f"{(('ur5',) * (size - 1) + ('ur10',),)!r}."
             )
+
+        if self.hands and len(self.hands) != size:
+            raise InvalidConfigError(
+                f"Task {self.name!r} has {len(self.hands)} hands for {size} robots."
+            )
+        for hand in self.hands:
+            HANDS[hand]
 
     @property
     def gym_id(self) -> str:

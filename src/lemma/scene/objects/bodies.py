@@ -4,6 +4,7 @@ import math
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2
+from lemma.robots.geometry import DARK, VISUAL_GROUP
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import Part
 
@@ -13,6 +14,11 @@ CONTACT_SOLIMP = (0.98, 0.999, 0.0005, 0.5, 2.0)
 OBJECT_FRICTION = (0.25, 0.01, 0.0002)
 """Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
 is pushed along stutters and hops."""
+
+_RIM_M = 0.006
+"""Half the width of a rim."""
+_PROUD_M = 0.0003
+"""By how much it stands out, so that it is seen."""
 
 FALLEN = 2
 """Contact bit of the floor, and of what can fall on it: arms never come so low."""
@@ -30,7 +36,9 @@ def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
-def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
+def add_object(
+    spec: mujoco.MjSpec, entity: Entity, pose: Pose2, mass_kg: float | None = None
+) -> mujoco.MjsBody:
     """Add one object to the world body, lying on the table.
 
     An object that is not fixed to the table is a free body with a joint of its name.
@@ -39,6 +47,8 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
         spec: The scene that is being built, with angles in radians.
         entity: The entity.
         pose: Where it lies.
+        mass_kg: Its mass, where it is not that of its kind, of one part [kg]. It is then
+            seen to have rims of dark metal.
 
     Returns:
         Its body, which has the entity's name.
@@ -55,7 +65,35 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
         _add_part(body, entity, part)
     if kind.build is not None:
         kind.build(spec, body, name)
+    if mass_kg is not None:
+        spec.geom(name).mass = mass_kg
+        _add_rims(body, kind.parts[0])
     return body
+
+
+def _add_rims(body: mujoco.MjsBody, part: Part) -> None:
+    """Draw a dark bar along each edge of a box; nothing touches them."""
+    half = part.size_m
+    for along in range(3):
+        for first in (-1.0, 1.0):
+            for second in (-1.0, 1.0):
+                side = iter((first, second))
+                middle = [
+                    0.0 if axis == along else next(side) * (half[axis] - _RIM_M)
+                    for axis in range(3)
+                ]
+                size = [_RIM_M + _PROUD_M] * 3
+                size[along] = half[along] + _PROUD_M
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    pos=middle,
+                    size=size,
+                    rgba=DARK,
+                    group=VISUAL_GROUP,
+                    contype=0,
+                    conaffinity=0,
+                    mass=0.0,
+                )
 
 
 def _add_part(body: mujoco.MjsBody, entity: Entity, part: Part) -> None:

@@ -5,7 +5,8 @@ coalition is kept from ``On(top, bottom)`` where none of it could touch the top,
 could touch the bottom or put anything on it, or nothing could get from those who could
 do the one to those who could do the other. All of that is said of what robots *could*
 do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
-that is pushed gets farther than a hand.
+that is pushed gets farther than a hand. A top that is too heavy for a robot is none that
+it could put on anything, because it would have to be lifted.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,9 @@ from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.zones import OUTSIDE_M, REMOTE_M, SLIDE_M, Territory
+
+_MAT_M = 0.01
+"""A thing may be pushed onto what is no higher than this."""
 
 
 def needed(
@@ -52,6 +56,8 @@ class Lack:
     """Robots that could touch the top."""
     putters: tuple[int, ...]
     """Robots that could put something on the bottom."""
+    is_too_heavy: bool = False
+    """Whether the top is too heavy for every robot that could touch it otherwise."""
 
     @property
     def things(self) -> tuple[str, ...]:
@@ -72,6 +78,8 @@ class Lack:
             f"the {entity_named(name).phrase}"
             for name in (self.part.top, self.part.bottom)
         )
+        if self.is_too_heavy:
+            return f"No robot that reaches {top} can carry it."
         if not self.getters:
             return f"No robot reaches {top}."
         if not self.putters:
@@ -136,6 +144,13 @@ class _Coalition:
         # A cube that stands on one that is pushed slides or tips over where it stops.
         tower_m = row_m + 2.0 * top.entity.kind.side_m if row_m else 0.0
         putters = self._touching(bottom) + self._within(bottom, tower_m)
+        # What lies on something was lifted by somebody. A mat is as good as the table.
+        team = self._territory.robots
+        able = {r for r in self._robots if not team[r].overload("", top)}
+        if bottom.entity.kind.height_m > _MAT_M and not able.issuperset(getters):
+            getters, putters = ([r for r in w if r in able] for w in (getters, putters))
+            if not getters:
+                return Lack(on, (), (), is_too_heavy=True)
         groups = self._groups(top.entity.kind, row_m)
         if any(group & set(getters) and group & set(putters) for group in groups):
             return None

@@ -1,0 +1,66 @@
+"""Hands: how hard the fingers of a robot close, and what it can carry for that.
+
+Plain numbers, so that code without a simulator reads the same ones.
+"""
+
+import math
+from dataclasses import dataclass
+
+from lemma.core.errors import InvalidConfigError
+from lemma.core.registry import Registry
+from lemma.robots.gripper import GRIP_FORCE_N, MASS_KG
+from lemma.robots.ur.arms import ARMS
+
+PAD_FRICTION = 1.2
+"""Coefficient of friction of the fingers' pads."""
+_GRAVITY_M_S2 = 9.81
+_SAFETY = 2.0
+"""A load is held by so many times the friction that it needs at rest: what an arm swings
+round is heavier, and slips from half as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """A gripper of the one shape that all robots have, and of some force."""
+
+    name: str
+    """A lower-case word, as prompts and pages write it."""
+    force_n: float
+    """Largest force of each finger [N]."""
+
+    def __post_init__(self) -> None:
+        """Check the force.
+
+        Raises:
+            InvalidConfigError: It is not positive.
+        """
+        if not 0.0 < self.force_n < math.inf:
+            raise InvalidConfigError(
+                f"A hand cannot have force_n={self.force_n}. Valid: a positive number."
+            )
+
+    @property
+    def carries_kg(self) -> float:
+        """Largest mass that it carries with two pads [kg]."""
+        return 2.0 * PAD_FRICTION * self.force_n / (_SAFETY * _GRAVITY_M_S2)
+
+
+HANDS: Registry[Hand] = Registry("hand", Hand)
+"""Every hand that a robot may have, by name."""
+STANDARD = HANDS.add("standard", Hand("standard", GRIP_FORCE_N)).name
+"""Name of the hand that robots have where nothing else is said."""
+WEAK = HANDS.add("weak", Hand("weak", 8.0)).name
+"""Name of a hand that carries things of wood, and lifts nothing of metal."""
+
+
+def carries_kg(arm: str, hand: str) -> float:
+    """Return the largest mass that a robot may carry [kg].
+
+    The friction of its hand and the payload of its arm limit it; the hand itself counts
+    as payload.
+
+    Args:
+        arm: A name in ``ARMS``.
+        hand: A name in :data:`HANDS`.
+    """
+    return min(HANDS[hand].carries_kg, ARMS[arm].payload_kg - MASS_KG)
