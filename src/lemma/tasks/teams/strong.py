@@ -37,9 +37,9 @@ def arrange_strong(placer: ObjectPlacer) -> Goal:
     if placer.rng.random() < 0.5:
         pad = placer.pad(placer.only(other))
         light = placer.cube(placer.only(one))
-        ways = [placer.only(strong, robot) for robot in (one, other)]
-        target = placer.pad(ways[int(placer.rng.integers(2))])
-        heavy = placer.put("cube", ways[int(placer.rng.integers(2))], mass_kg=HEAVY_KG)
+        both = placer.only(strong, (one, other)[int(placer.rng.integers(2))])
+        target = placer.pad(both)
+        heavy = placer.put("cube", both, mass_kg=HEAVY_KG)
         return Goal((On(heavy, target), On(light, pad)))
     base = placer.cube(placer.only(one))
     pad = placer.pad(placer.only(one, other))
