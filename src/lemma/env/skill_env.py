@@ -73,9 +73,8 @@ class SubTaskEnv(LemmaEnv):
         result = self.last_result
         found["outcome"] = None if result is None else str(result.outcome)
         found["explanation"] = "" if result is None else result.explanation
-        if found["failure"] == "goal_not_reached" and result is not None:
-            if result.outcome in _REFUSED:
-                found["failure"] = str(result.outcome)
+        if found["failure"] == "goal_not_reached" and found["outcome"] in _REFUSED:
+            found["failure"] = found["outcome"]
         return found
 
     def _remember(self) -> dict[str, Any]:

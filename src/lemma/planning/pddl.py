@@ -75,8 +75,9 @@ def to_pddl(
         grounder: Of the same scene.
 
     Raises:
-        InvalidConfigError: The goal is about hands or has a rule, or there is no plan
-            of moves alone: dragging with the stick is geometry, not symbols.
+        InvalidConfigError: The goal is about hands or has a rule, a cube is too heavy
+            for a robot, or there is no plan of moves alone: dragging with the stick is
+            geometry, not symbols.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
@@ -84,11 +85,16 @@ def to_pddl(
         for step in plan.subtasks
     )
     placed = all(isinstance(part, On) for part in goal.conjuncts)
-    if not moves or not placed or goal.rule is not None:
+    heavy = any(
+        grounder.overload(robot, name)
+        for robot in grounder.robots
+        for name in now.supports
+    )
+    if not moves or not placed or goal.rule is not None or heavy:
         raise InvalidConfigError(
             f"{name} cannot be told in PDDL: its goal is not reached by moving cubes "
-            "alone. Choose an instance of a task without the stick, and without hands "
-            "or a rule in its goal, such as relay."
+            "alone, or a cube is too heavy for a robot. Choose an instance of a task "
+            "without the stick, and without hands or a rule in its goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

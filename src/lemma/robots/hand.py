@@ -15,8 +15,8 @@ PAD_FRICTION = 1.2
 """Coefficient of friction of the fingers' pads."""
 _GRAVITY_M_S2 = 9.81
 _SAFETY = 2.0
-"""A load is held by so many times the friction that it needs at rest: what an arm swings
-round is heavier, and slips from half as much."""
+"""A load is held by so many times the friction that it needs at rest. What an arm
+swings round needs more, and slips."""
 
 
 @dataclass(frozen=True, slots=True)

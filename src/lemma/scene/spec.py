@@ -168,6 +168,12 @@ class SceneSpec:
         return tuple(placed.name for placed in self.objects)
 
     @property
+    def other_hands(self) -> tuple[str, ...]:
+        """The robots' hands by name; empty where all have the standard one."""
+        hands = tuple(robot.hand for robot in self.robots)
+        return hands if set(hands) - {STANDARD} else ()
+
+    @property
     def regions(self) -> Mapping[str, tuple[int, ...]]:
         """Where several robots work: names of regions, and their robots by index.
 

@@ -131,7 +131,7 @@ class Instance:
         one than the standard hand, and ``masses_kg`` names objects that do not have the
         mass of their kind.
         """
-        rule, hands = self.goal.rule, [robot.hand for robot in self.scene.robots]
+        rule, hands = self.goal.rule, list(self.scene.other_hands)
         masses = {o.name: o.mass_kg for o in self.scene.objects if o.mass_kg}
         return {
             "version": BENCHMARK_VERSION,
@@ -151,7 +151,7 @@ class Instance:
             "instructions": dict(self.instructions),
             "distractors": list(self.distractors),
             **({} if rule is None else {"rule": [rule.kind, *rule.names]}),
-            **({"hands": hands} if set(hands) != {STANDARD} else {}),
+            **({"hands": hands} if hands else {}),
             **({"masses_kg": masses} if masses else {}),
         }
 

@@ -98,6 +98,10 @@ class ObjectPlacer:
         self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
         """The robots by role, in random order."""
 
+    def choose(self, count: int) -> int:
+        """Return a number below a count, each as likely: which kind of table to set."""
+        return int(self.rng.integers(count))
+
     def cube(self, zone: ZoneLike, color: str | None = None) -> str:
         """Put a cube into a zone; see :meth:`put`."""
         return self.put("cube", zone, color)
@@ -146,8 +150,7 @@ class ObjectPlacer:
         wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
         pose = self._find(record, wanted)
         chosen = color or free[0]
-        if chosen in free:
-            free.remove(chosen)
+        free[:] = [left for left in free if left != chosen]
         placed = ObjectPlacement(kind, chosen, pose, mass_kg)
         self.objects.append(placed)
         self._zones[placed.name] = wanted
@@ -168,9 +171,8 @@ class ObjectPlacer:
             lambda x, y, yaw: self.suits_stick(robot, x, y, yaw),
             lambda pose: heading_from(base, pose) <= LARGEST_HEADING_RAD,
         )
-        placed = ObjectPlacement("stick", "yellow", pose)
-        self.objects.append(placed)
-        return placed.name
+        self.objects.append(ObjectPlacement("stick", "yellow", pose))
+        return self.objects[-1].name
 
     def suits_stick(
         self, robot: int, x: FloatArray, y: FloatArray, yaw: FloatArray
@@ -327,8 +329,7 @@ class ObjectPlacer:
         found = self._bases()
         for placed in self.objects:
             if not placed.entity.kind.tool and placed.name != but:
-                disc = (placed.pose.x, placed.pose.y, placed.entity.kind.disc_m)
-                found.append(disc)
+                found.append((placed.pose.x, placed.pose.y, placed.entity.kind.disc_m))
         return found
 
     def _bases(self) -> list[Disc]:

@@ -121,17 +121,14 @@ def _place_team(
     """
     gap_m = None
     if len(team) == 2:
-        there, gap_m = place_pair(
-            team, order, rng, fixed=task.fixed, apart=task.apart
-        )
+        there, gap_m = place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
     else:
         placed = LAYOUTS[task.layout].place(team, rng)
         if placed is None:
             raise PlacementError(task.layout)
         there = placed
-    robots = list(there)
-    for role, hand in zip(order, task.hands, strict=False):
-        robots[role] = replace(robots[role], hand=hand)
+    hands = task.hands_of(order)
+    robots = (replace(r, hand=h) for r, h in zip(there, hands, strict=True))
     return tuple(robots), gap_m
 
 

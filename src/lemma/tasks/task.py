@@ -1,14 +1,14 @@
 """Tasks: how a table is set, and the sentences that ask for the goal."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gymnasium.envs import registration
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry, check_fields
-from lemma.robots.hand import HANDS
+from lemma.robots.hand import HANDS, STANDARD
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
@@ -92,6 +92,15 @@ class Task:
             )
         for hand in self.hands:
             HANDS[hand]
+
+    def hands_of(self, order: Sequence[int]) -> list[str]:
+        """Return the hands of the robots by number.
+
+        Args:
+            order: The robots by role.
+        """
+        hands = self.hands or (STANDARD,) * len(order)
+        return [hands[order.index(robot)] for robot in range(len(order))]
 
     @property
     def gym_id(self) -> str:

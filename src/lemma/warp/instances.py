@@ -58,8 +58,13 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
 
     Raises:
         UnknownNameError: No such task or arm.
-        InvalidConfigError: The task has sticks, a gap in the table, or rules.
+        InvalidConfigError: The task has sticks, a gap in the table, rules, or hands of
+            different force.
     """
+    if TASKS[task].hands:
+        raise InvalidConfigError(
+            f"Robots of task {task!r} have different hands; on a GPU all are alike."
+        )
     if TASKS[task].rules:
         raise InvalidConfigError(
             f"Goals of task {task!r} have rules, which nobody watches on a GPU."

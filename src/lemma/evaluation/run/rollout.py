@@ -131,6 +131,7 @@ class Rollout:
         self.episode = self._begin()
         self.clearance = ClearanceWatch(self.episode.simulation)
         self._phrases = robot_phrases(self.instance.scene.robots)
+        self._hands = self.instance.scene.other_hands
 
     def _begin(self) -> Episode:
         return Episode(self.instance, horizon_s=self.horizon_s)
@@ -221,7 +222,7 @@ class Rollout:
         view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
-        fields = (self.instruction, self._phrases, view, tuple(self.past))
+        fields = (self.instruction, self._phrases, view, tuple(self.past), self._hands)
         if is_oracle(policy):
             return OracleInput(*fields, episode=self.episode)
         return PolicyInput(*fields)

@@ -120,7 +120,7 @@ class TeamRollout(Rollout):
                 own[name] = rig.capture(scene, cameras=cameras, robots=(name,))
             view = view if own else rig.capture(scene, cameras=cameras)
         waits = self.team.waits_for
-        common = (self.instruction, self._phrases, view, tuple(self.past))
+        common = (self.instruction, self._phrases, view, tuple(self.past), self._hands)
         team_fields: dict[str, Any] = {
             "time_s": self.episode.elapsed_s,
             "free": free,

@@ -47,8 +47,8 @@ def add_object(
         spec: The scene that is being built, with angles in radians.
         entity: The entity.
         pose: Where it lies.
-        mass_kg: Its mass, where it is not that of its kind, of one part [kg]. It is then
-            seen to have rims of dark metal.
+        mass_kg: Its mass, where it is not that of its kind, of one part [kg]. Then it
+            has rims of dark metal, which are only seen.
 
     Returns:
         Its body, which has the entity's name.

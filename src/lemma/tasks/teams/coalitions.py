@@ -5,8 +5,8 @@ coalition is kept from ``On(top, bottom)`` where none of it could touch the top,
 could touch the bottom or put anything on it, or nothing could get from those who could
 do the one to those who could do the other. All of that is said of what robots *could*
 do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
-that is pushed gets farther than a hand. A top that is too heavy for a robot is none that
-it could put on anything, because it would have to be lifted.
+that is pushed gets farther than a hand. Nobody could put a top on something that is too
+heavy for its hand or its arm: it would have to be lifted.
 """
 
 from collections.abc import Iterable, Sequence

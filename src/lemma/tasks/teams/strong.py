@@ -32,12 +32,11 @@ def arrange_strong(placer: ObjectPlacer) -> Goal:
     a light cube of a weak robot, which reaches both, and the strong one only the heavy
     cube: the light one is brought to it. All three robots are needed in both.
     """
-    strong, *weak = placer.order
-    one, other = (weak[int(i)] for i in placer.rng.permutation(2))
-    if placer.rng.random() < 0.5:
+    strong, one, other = placer.order
+    if placer.choose(2):
         pad = placer.pad(placer.only(other))
         light = placer.cube(placer.only(one))
-        both = placer.only(strong, (one, other)[int(placer.rng.integers(2))])
+        both = placer.only(strong, (one, other)[placer.choose(2)])
         target = placer.pad(both)
         heavy = placer.put("cube", both, mass_kg=HEAVY_KG)
         return Goal((On(heavy, target), On(light, pad)))
