@@ -28,7 +28,13 @@ from lemma.robots.gripper import (
     SKIN_M,
     TCP_OFFSET_M,
 )
-from lemma.robots.hand import HANDS, PAD_FRICTION, STANDARD
+from lemma.robots.hand import (
+    HANDS,
+    RUBBER_FRICTION,
+    RUBBER_SOLIMP,
+    RUBBER_SOLREF,
+    STANDARD,
+)
 from lemma.robots.ur.meshes import Loft, Surface, mesh
 
 _FINGER_MASS_KG = 0.1
@@ -119,14 +125,14 @@ def _make_rubber(pad: mujoco.MjsGeom) -> None:
     """Give a pad the contact that holds things: it decides, whatever the thing is."""
     pad.priority = 1
     pad.condim = 4
-    pad.friction = [PAD_FRICTION, 0.02, 0.0001]
+    pad.friction = RUBBER_FRICTION
     # Stiffness and damping of the contact [1/s2, 1/s]. Friction stops slip by damping
     # alone, and each step of h bends a moving arm's path: a held object drifts by
     # (1 / damping - h / 2) times the centripetal acceleration. At h = 5 ms, 280 leaves
     # two fifths of the drift that the usual 200 does; from about 320 fingers bounce.
-    pad.solref = [-10000.0, -280.0]
+    pad.solref = RUBBER_SOLREF
     # Constant and hard: the softness that is left is what creeps under a load.
-    pad.solimp = [0.998, 0.998, 0.001, 0.5, 2.0]
+    pad.solimp = RUBBER_SOLIMP
     pad.margin = SKIN_M
 
 

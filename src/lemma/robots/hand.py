@@ -11,8 +11,12 @@ from lemma.core.registry import Registry
 from lemma.robots.gripper import GRIP_FORCE_N, MASS_KG
 from lemma.robots.ur.arms import ARMS
 
-PAD_FRICTION = 1.2
-"""Coefficient of friction of the fingers' pads."""
+RUBBER_FRICTION = (1.2, 0.02, 0.0001)
+"""Sliding, torsional [m] and rolling [m] friction of the fingers' pads."""
+RUBBER_SOLREF = (-10000.0, -280.0)
+"""Stiffness and damping of their contacts [1/s2, 1/s]."""
+RUBBER_SOLIMP = (0.998, 0.998, 0.001, 0.5, 2.0)
+"""Impedance of their contacts."""
 _GRAVITY_M_S2 = 9.81
 _SAFETY = 2.0
 """A load is held by so many times the friction that it needs at rest. What an arm
@@ -42,7 +46,7 @@ class Hand:
     @property
     def carries_kg(self) -> float:
         """Largest mass that it carries with two pads [kg]."""
-        return 2.0 * PAD_FRICTION * self.force_n / (_SAFETY * _GRAVITY_M_S2)
+        return 2.0 * RUBBER_FRICTION[0] * self.force_n / (_SAFETY * _GRAVITY_M_S2)
 
 
 HANDS: Registry[Hand] = Registry("hand", Hand)

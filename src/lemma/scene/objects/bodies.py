@@ -5,6 +5,7 @@ import math
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2
 from lemma.robots.geometry import DARK, VISUAL_GROUP
+from lemma.robots.hand import RUBBER_FRICTION, RUBBER_SOLIMP, RUBBER_SOLREF
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import Part
 
@@ -48,7 +49,7 @@ def add_object(
         entity: The entity.
         pose: Where it lies.
         mass_kg: Its mass, where it is not that of its kind, of one part [kg]. Then it
-            has rims of dark metal, which are only seen.
+            has a skin of rubber, and dark rims, which are only seen.
 
     Returns:
         Its body, which has the entity's name.
@@ -66,9 +67,22 @@ def add_object(
     if kind.build is not None:
         kind.build(spec, body, name)
     if mass_kg is not None:
-        spec.geom(name).mass = mass_kg
+        _make_heavy(spec.geom(name), mass_kg)
         _add_rims(body, kind.parts[0])
     return body
+
+
+def _make_heavy(geom: mujoco.MjsGeom, mass_kg: float) -> None:
+    """Give an object a mass of its own, and a skin of the fingers' rubber.
+
+    Its friction is the same on all that it touches. So a hand that presses it against
+    something and rises does not lift it: it is held back as much as it is lifted.
+    """
+    geom.mass = mass_kg
+    geom.priority = 1
+    geom.friction = RUBBER_FRICTION
+    geom.solref = RUBBER_SOLREF
+    geom.solimp = RUBBER_SOLIMP
 
 
 def _add_rims(body: mujoco.MjsBody, part: Part) -> None:

@@ -295,7 +295,7 @@ def _banks(families: tuple[str, ...]) -> Registry[LanguageBank]:
         for task, table in data.items():
             if isinstance(table, dict):
                 bank = LanguageBank.from_strings(
-                    data["high_level"], **table, entity_kinds=data.get("entity_kinds")
+                    data["high_level"], **table, entity_kinds=data["entity_kinds"]
                 )
                 banks.add(task, bank)
     return banks

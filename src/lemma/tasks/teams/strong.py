@@ -27,21 +27,20 @@ its pads bear 1.96 kg by friction."""
 def arrange_strong(placer: ObjectPlacer) -> Goal:
     """The shortest plan by reach gives the heavy cube to a weak hand, or may do so.
 
-    Either the heavy cube and its pad lie where the strong robot reaches them and
-    another one does, and a light cube changes hands between the others. Or it goes onto
-    a light cube of a weak robot, which reaches both, and the strong one only the heavy
-    cube: the light one is brought to it. All three robots are needed in both.
+    The heavy cube goes onto a light one. Either the strong robot and a weak one reach
+    both, and another light cube changes hands between the weak robots. Or the light one
+    is where that weak robot alone reaches it, and is brought to the strong one. No
+    robot that could touch the heavy cube could touch a pad, over whose rim it would be
+    tipped. All three robots are needed.
     """
-    strong, one, other = placer.order
+    strong, weak, other = placer.order
+    both = placer.only(strong, weak)
+    pad = placer.pad(placer.only(other))
     if placer.choose(2):
-        pad = placer.pad(placer.only(other))
-        light = placer.cube(placer.only(one))
-        both = placer.only(strong, (one, other)[placer.choose(2)])
-        target = placer.pad(both)
-        heavy = placer.put("cube", both, mass_kg=HEAVY_KG)
-        return Goal((On(heavy, target), On(light, pad)))
-    base = placer.cube(placer.only(one))
-    pad = placer.pad(placer.only(one, other))
-    light = placer.cube(placer.only(other))
-    heavy = placer.put("cube", placer.only(strong, one), mass_kg=HEAVY_KG)
+        base = placer.cube(both)
+        light = placer.cube(placer.only(weak))
+    else:
+        base = placer.cube(placer.only(weak))
+        light = placer.cube(placer.only(other))
+    heavy = placer.put("cube", both, mass_kg=HEAVY_KG)
     return Goal((On(heavy, base), On(light, pad)))
