@@ -16,7 +16,7 @@ OBJECT_FRICTION = (0.25, 0.01, 0.0002)
 """Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
 is pushed along stutters and hops."""
 
-_RIM_M = 0.006
+_RIM_M = 0.0035
 """Half the width of a rim."""
 _PROUD_M = 0.0003
 """By how much it stands out, so that it is seen."""
