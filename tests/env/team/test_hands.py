@@ -9,6 +9,7 @@ from recorded_episodes import played
 from tiers import slow_but
 
 import lemma
+from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2, quaternion_from_matrix
 from lemma.dataset.recipe.replay import replay
 from lemma.env.control_env import ControlEnv
@@ -22,6 +23,7 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.hand import HANDS, STANDARD, WEAK
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import On
@@ -31,10 +33,6 @@ from lemma.tasks.suite import load_instance
 from lemma.tasks.teams.coalitions import lack_of, needed
 from lemma.tasks.teams.strong import HEAVY_KG
 from lemma.tasks.zones import Territory
-
-LIFTED_M = 0.02
-"""A cube that was carried has been higher than this over the table."""
-
 
 def heavy_of(instance: Instance) -> str:
     [name] = [o.name for o in instance.scene.objects if o.mass_kg is not None]
@@ -198,9 +196,10 @@ def lead(instance: Instance, robot: int) -> tuple[bool, float]:
 def test_motor_commands_do_not_help_a_weak_hand() -> None:
     """The same commands to the strong robot put the cube where it shall lie."""
     instance = direct()
-    done, lifted_m = lead(instance, tempted(instance))
+    done, raised_m = lead(instance, tempted(instance))
     assert not done
-    assert lifted_m < LIFTED_M
+    # A jerk of the hand may toss it a little.
+    assert raised_m < CUBE_EDGE_M
     assert lead(instance, strong_of(instance))[0]
 
 
@@ -212,8 +211,13 @@ def test_the_strong_robot_is_needed_for_its_hand(index: int) -> None:
     alike = tuple(replace(robot, hand=STANDARD) for robot in scene.robots)
     others = set(needed(Territory(alike), scene.objects, instance.goal))
     assert others == {0, 1, 2} - {strong}
-    weak = tuple(replace(robot, hand=WEAK) for robot in scene.robots)
-    lack = lack_of(Territory(weak), scene.objects, instance.goal)
+
+
+def test_a_team_of_weak_hands_says_what_it_lacks() -> None:
+    listed = (load_instance("strong", "test", index) for index in range(60))
+    instance = next(one for one in listed if not one.distractors)
+    weak = tuple(replace(robot, hand=WEAK) for robot in instance.scene.robots)
+    lack = lack_of(Territory(weak), instance.scene.objects, instance.goal)
     assert lack is not None
     said = lack.words(("red robot", "white robot", "blue robot"))
     phrase = heavy_of(instance).replace("_", " ")
@@ -236,7 +240,7 @@ def test_others_have_neither_hands_nor_masses_in_their_data() -> None:
     assert [robot.hand for robot in read.scene.robots] == data["hands"]
     assert read.to_dict() == data
     for wrong in ({"hands": [WEAK]}, {"masses_kg": {"stick": 1.0}}):
-        with pytest.raises(lemma.InvalidConfigError):
+        with pytest.raises(InvalidConfigError):
             Instance.from_dict(plain.to_dict() | wrong)
 
 
