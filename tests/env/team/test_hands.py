@@ -34,6 +34,7 @@ from lemma.tasks.teams.coalitions import lack_of, needed
 from lemma.tasks.teams.strong import HEAVY_KG
 from lemma.tasks.zones import Territory
 
+
 def heavy_of(instance: Instance) -> str:
     [name] = [o.name for o in instance.scene.objects if o.mass_kg is not None]
     return name

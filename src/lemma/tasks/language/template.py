@@ -1,4 +1,4 @@
-"""Sentences with slots for the roles of a goal, and banks of them.
+"""Templates of instructions, with slots for the roles of a goal, and template banks.
 
 A goal is a conjunction of ``On(top, bottom)``. Rendering a template fills its slots
 with the goal's entities; parsing is the exact inverse.
@@ -18,28 +18,28 @@ from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
 
 GoalPairs = tuple[tuple[str, str], ...]
-"""One ``(top, bottom)`` pair of entity names for each predicate of a goal; one of them
-may be the hand, see :mod:`lemma.tasks.goal`."""
+"""A ``(top, bottom)`` pair of entity names for each predicate of a goal; either may be
+``"hand"``, see :mod:`lemma.tasks.goal`."""
 
 KindPairs = tuple[tuple[str, str], ...]
-"""The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have
-no slot for the hand."""
+"""A ``(top, bottom)`` pair of entity kinds for each predicate of a goal. Templates have
+no slot for the gripper."""
 
 KINDS = ("high_level", "human", "unseen")
-"""Kinds of instructions that every instance carries and every recipe records;
-``unseen`` ones are held out of training."""
+"""Kinds of instructions in every instance and every recipe; ``unseen`` ones are held
+out of training."""
 
 BLIND = "blind"
-"""The kind that is for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
+"""The kind for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
 
 EVALUATION_KINDS = (*KINDS, BLIND)
-"""Kinds of instructions that a policy may be given."""
+"""Kinds of instructions for evaluation."""
 
 MAX_CHARACTERS = 200
-"""Longest sentence that a template may render to."""
+"""Largest length of a rendered sentence."""
 
 SLOT = re.compile(r"\{(?P<role>(?:top|bottom)[1-9]?)(?:\.(?P<part>color|kind))?\}")
-"""A slot: a role, alone or with the part of the entity that is said."""
+"""A slot: a role, or the color or kind of a role's entity."""
 
 _SLOT_HELP = (
     "Slots are {top}, {bottom} ('red cube'), {top.color}, {bottom.color} ('red') and "
@@ -50,19 +50,19 @@ _SLOT_HELP = (
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A sentence with slots for the roles of a goal; validated when made."""
+    """A sentence with slots for the roles of a goal.
+
+    Raises:
+        InvalidConfigError: The text is not a usable template.
+    """
 
     text: str
-    """The sentence: ``"Place the {top} on the {bottom.color} circle"``."""
+    """The sentence, such as ``"Place the {top} on the {bottom.color} circle"``."""
     entity_kinds: KindPairs | None = None
-    """Kinds of (top, bottom) per conjunct; None: as the slots of the text say."""
+    """Kinds of (top, bottom) per conjunct; None if slots of the text have the kinds."""
 
     def __post_init__(self) -> None:
-        """Check slots, characters and length.
-
-        Raises:
-            InvalidConfigError: The text is not a usable template.
-        """
+        """Check slots, characters and length."""
         self._check_text()
         self._check_roles()
         longest = max(BENCHMARK_COLORS, key=len)
@@ -77,13 +77,17 @@ class Template:
     def from_string(
         cls, text: str, entity_kinds: Sequence[Sequence[str]] | None = None
     ) -> Self:
-        """Make a template from plain data.
+        """Create a template from plain data.
 
         Args:
             text: The sentence with its slots.
-            entity_kinds: ``[["cube", "pad"]]``: kinds of top and bottom, for each
-                conjunct. Needed where the text says ``{top.color} block`` and not
-                ``{top}`` or ``{top.kind}``.
+            entity_kinds: Kinds of top and bottom for each conjunct, such as
+                ``[["cube", "pad"]]``. Required if the text has only the color of a
+                role, as in ``{top.color} block``.
+
+        Raises:
+            InvalidConfigError: The text is not a usable template, or the kinds are not
+                pairs.
         """
         if entity_kinds is None:
             return cls(text)
@@ -96,7 +100,7 @@ class Template:
 
     @property
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """The names of the (top, bottom) roles, for each conjunct of the goal."""
+        """Names of the (top, bottom) roles for each conjunct of the goal."""
         found = {slot["role"] for slot in SLOT.finditer(self.text)}
         if found <= {"top", "bottom"}:
             return (("top", "bottom"),)
@@ -104,14 +108,15 @@ class Template:
         return tuple((f"top{n}", f"bottom{n}") for n in range(1, count + 1))
 
     def render(self, goal_pairs: GoalPairs) -> str:
-        """Return the sentence that asks for a goal.
+        """Return the sentence of a goal.
 
         Args:
-            goal_pairs: ``(("red_cube", "white_pad"), ...)``, in the order of the
-                numbered roles.
+            goal_pairs: Names such as ``(("red_cube", "white_pad"), ...)``, in the order
+                of the numbered roles.
 
         Raises:
-            InvalidConfigError: The goal has another shape than the template.
+            InvalidConfigError: The goal has another number of conjuncts, or other
+                kinds, than the template.
         """
         if len(goal_pairs) != len(self.roles):
             raise self._error(
@@ -142,10 +147,10 @@ class Template:
         return SLOT.sub(fill, self.text)
 
     def parse(self, sentence: str) -> frozenset[tuple[str, str]] | None:
-        """Return the goal of a sentence, or None if the template cannot say it.
+        """Return the goal of a sentence, or None if the template does not match.
 
-        Letter case and the final punctuation are ignored. Things that come in one color
-        only are not found.
+        Letter case and final punctuation are ignored. Entities of kinds with a single
+        color are not recognized.
         """
         nouns = _nouns()
         pattern = _pattern(self, tuple(OBJECT_COLORS), tuple(nouns))
@@ -165,8 +170,8 @@ class Template:
     def wording(self) -> str:
         """Return the text without case, punctuation and colors.
 
-        Two templates with one wording are the same template, however their slots
-        are written.
+        Templates with equal wordings are duplicates, even if their slots are written
+        differently.
         """
         filled = SLOT.sub(lambda slot: self._fill(slot, "*", "*"), self.text)
         return re.sub(r"[^a-z*]+", " ", filled.lower()).strip()
@@ -216,10 +221,10 @@ class Template:
             self._check_kinds(self.entity_kinds)
         for role, parts in said.items():
             if not parts & {None, "color"}:
-                raise self._error(f"nothing says the color of {role!r}. {_SLOT_HELP}")
+                raise self._error(f"it lacks the color of {role!r}. {_SLOT_HELP}")
             if self.entity_kinds is None and not parts & {None, "kind"}:
                 raise self._error(
-                    f"nothing says what {role!r} is, a cube or a pad. Write "
+                    f"it lacks the kind of {role!r}, a cube or a pad. Write "
                     f"{{{role}}}, or give entity_kinds such as [['cube', 'pad']]"
                 )
 
@@ -239,21 +244,22 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class LanguageBank:
-    """The templates of one task, but for blind ones; validated when made."""
+    """The templates of one task, except blind ones.
+
+    Raises:
+        InvalidConfigError: A kind is empty, a wording occurs twice, or the templates
+            have different numbers of roles.
+    """
 
     high_level: tuple[Template, ...]
-    """Say only what shall become true."""
+    """Templates that express only the goal."""
     human: tuple[Template, ...]
-    """In the manner that people write; for training."""
+    """Templates in natural wording, for training."""
     unseen: tuple[Template, ...]
-    """Like ``human``, held out of training."""
+    """Templates like ``human``, held out of training."""
 
     def __post_init__(self) -> None:
-        """Check that each kind has templates and that all differ.
-
-        Raises:
-            InvalidConfigError: A kind is empty, or a wording occurs twice.
-        """
+        """Check that each kind has templates and that all differ."""
         seen: dict[str, str] = {}
         counts = set()
         for kind in KINDS:
@@ -267,8 +273,8 @@ class LanguageBank:
                 wording = template.wording()
                 if wording in seen:
                     raise InvalidConfigError(
-                        f"Templates {seen[wording]!r} and {template.text!r} say the "
-                        "same in the same words. Remove or rewrite one."
+                        f"Templates {seen[wording]!r} and {template.text!r} have the "
+                        "same wording. Remove or rewrite one."
                     )
                 seen[wording] = template.text
         if len(counts) > 1:
@@ -285,7 +291,7 @@ class LanguageBank:
         unseen: Sequence[str],
         entity_kinds: Sequence[Sequence[str]] | None = None,
     ) -> Self:
-        """Make a bank from plain strings; see :meth:`Template.from_string`."""
+        """Create a bank from strings; see :meth:`Template.from_string`."""
         return cls(
             *(
                 tuple(Template.from_string(text, entity_kinds) for text in texts)
@@ -305,28 +311,39 @@ class LanguageBank:
         return found
 
     def __iter__(self) -> Iterator[Template]:
-        """Iterate over the templates of every kind."""
+        """Iterate over the templates of all kinds."""
         for kind in KINDS:
             yield from self.templates(kind)
 
     def instruct(
         self, kind: str, goal_pairs: GoalPairs, rng: np.random.Generator
     ) -> str:
-        """Draw a template of a kind, uniformly, and render it for a goal."""
+        """Draw a template of a kind uniformly, and render it for a goal.
+
+        Args:
+            kind: One of :data:`KINDS`.
+            goal_pairs: The (top, bottom) entities of the goal.
+            rng: Random generator; one integer is drawn.
+
+        Raises:
+            UnknownNameError: No such kind.
+            InvalidConfigError: The goal has another form than the template.
+        """
         candidates = self.templates(kind)
         return candidates[int(rng.integers(len(candidates)))].render(goal_pairs)
 
     def parse(self, sentence: str) -> frozenset[tuple[str, str]] | None:
-        """Return the one goal that a sentence asks for.
+        """Return the goal of a sentence.
 
         Returns:
-            The (top, bottom) pairs; None if no template says the sentence.
+            The (top, bottom) pairs; None if no template matches the sentence, or
+            several match with different goals.
         """
         return only_goal(self, sentence)
 
 
 def _nouns() -> dict[str, ObjectKind]:
-    """Return the kinds that a goal may speak of and that have colors, by their noun."""
+    """Return the kinds with colors that may be in a goal, by noun."""
     kinds = (OBJECT_KINDS[name] for name in OBJECT_KINDS)
     return {kind.nouns[0]: kind for kind in kinds if kind.colored and not kind.tool}
 
@@ -334,7 +351,7 @@ def _nouns() -> dict[str, ObjectKind]:
 def only_goal(
     candidates: Iterable[Template], sentence: str
 ) -> frozenset[tuple[str, str]] | None:
-    """Return the goal on which all templates that say a sentence agree, or None."""
+    """Return the goal on which all templates that match a sentence agree, or None."""
     goals = {template.parse(sentence) for template in candidates} - {None}
     return goals.pop() if len(goals) == 1 else None
 
@@ -347,7 +364,7 @@ def _bare(sentence: str) -> str:
 def _pattern(
     template: Template, colors: tuple[str, ...], nouns: tuple[str, ...]
 ) -> re.Pattern[str]:
-    """Compile the inverse of ``render``; a role's second mention repeats its first."""
+    """Compile the inverse of ``render``; repeated mentions of a role must be equal."""
     text, pieces, end, said = _bare(template.text), [], 0, set()
 
     def group(name: str, options: Sequence[str]) -> str:
