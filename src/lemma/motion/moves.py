@@ -98,7 +98,7 @@ class Moves:
         yield from self._feel_weight(low)
 
     def _feel_weight(self, low: Stand) -> Motion:
-        """Raise ``OVERLOAD`` if the grasped object is too heavy, after a try to lift."""
+        """Raise ``OVERLOAD`` if the grasped object is too heavy, after a lift."""
         robot, spec = self.arm.robot.placement, self.scene.spec
         held = self.scene.held().get(self._name)
         if held and (why := robot.overload(self._name, spec.placement(held))):

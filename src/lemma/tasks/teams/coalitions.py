@@ -148,7 +148,7 @@ class _Coalition:
         groups = self._groups(top.entity.kind, row_m)
         if any(group & set(getters) and group & set(putters) for group in groups):
             return None
-        return Lack(on, *(tuple(sorted(set(who))) for who in (getters, putters)))
+        return Lack(on, tuple(sorted({*getters})), tuple(sorted({*putters})))
 
     def _could_raise(
         self, robot: int, top: ObjectPlacement, bottom: ObjectPlacement
