@@ -273,7 +273,7 @@ class Observer:
             present[number[name]] = 1
         masses = np.zeros(len(number))
         for placed in spec.objects:
-            # What has fallen off the table still has its mass.
+            # Also of objects that have fallen off the table.
             masses[number[placed.name]] = placed.weight_kg
         asked = np.zeros((GOAL_PAIRS, 2, 7))
         for pair, (top, bottom) in enumerate(goal.pairs):

@@ -19,8 +19,8 @@ RUBBER_SOLIMP = (0.998, 0.998, 0.001, 0.5, 2.0)
 """Impedance of their contacts."""
 _GRAVITY_M_S2 = 9.81
 _SAFETY = 2.0
-"""A load is held by so many times the friction that it needs at rest. What an arm
-swings round needs more, and slips."""
+"""Friction of a grasp over the weight of the largest load. An arm that turns needs more
+friction than one at rest."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,9 +89,9 @@ class _RecordedPlacer(ObjectPlacer):
         )
         self.rule = rule.kind if (rule := instance.goal.rule) else ""
         self.choices = list(choices)
-        """What was chosen, each after the other."""
+        """Results of :meth:`choose`, in order."""
         self.counts: list[int] = []
-        """Among how many."""
+        """The number of possibilities of each."""
         self._left = list(there)
         self._asked: list[tuple[ObjectPlacement, Zone, int]] = []
         self._stick_of: int | None = None

@@ -58,16 +58,11 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
 
     Raises:
         UnknownNameError: No such task or arm.
-        InvalidConfigError: The task has sticks, a gap in the table, rules, or hands of
-            different force.
+        InvalidConfigError: The task has sticks, gaps, rules, or different hands.
     """
-    if TASKS[task].hands:
+    if TASKS[task].rules or TASKS[task].hands:
         raise InvalidConfigError(
-            f"Robots of task {task!r} have different hands; on a GPU all are alike."
-        )
-    if TASKS[task].rules:
-        raise InvalidConfigError(
-            f"Goals of task {task!r} have rules, which nobody watches on a GPU."
+            f"Task {task!r} has rules or different hands, which are not on a GPU."
         )
     chosen = tuple(team or TASKS[task].teams[0])
     found = tuple(

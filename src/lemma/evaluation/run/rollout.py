@@ -131,7 +131,6 @@ class Rollout:
         self.episode = self._begin()
         self.clearance = ClearanceWatch(self.episode.simulation)
         self._phrases = robot_phrases(self.instance.scene.robots)
-        self._hands = self.instance.scene.other_hands
 
     def _begin(self) -> Episode:
         return Episode(self.instance, horizon_s=self.horizon_s)
@@ -209,8 +208,7 @@ class Rollout:
     def policy_input(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
         """Return what a policy is given now; it sees nothing without cameras.
 
-        Everything is rendered now, which is neither the policy's time nor its fault if
-        it fails, and copied: nothing leads from it to the simulation.
+        It is rendered now, neither in the policy's time nor at its fault, and copied.
 
         Args:
             rig: Cameras of the policy, if it has any.
@@ -222,10 +220,11 @@ class Rollout:
         view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
-        fields = (self.instruction, self._phrases, view, tuple(self.past), self._hands)
+        hands = scene.spec.other_hands
+        given = (self.instruction, self._phrases, view, tuple(self.past), hands)
         if is_oracle(policy):
-            return OracleInput(*fields, episode=self.episode)
-        return PolicyInput(*fields)
+            return OracleInput(*given, episode=self.episode)
+        return PolicyInput(*given)
 
     def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return what its line says beside what every line does.
