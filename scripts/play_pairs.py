@@ -1,8 +1,8 @@
-"""Print what a policy makes of pairs of which this team can do one.
+"""Print a policy's results on pairs of a feasible and an infeasible instance.
 
     python scripts/play_pairs.py oracle [60]
 
-The second word is the number of pairs, from the first on.
+The second argument is the number of pairs, beginning with the first.
 """
 
 import sys

@@ -219,7 +219,7 @@ def test_the_readme_of_somebody_else_is_not_written_over(
 ) -> None:
     (tmp_path / "README.md").write_text("mine")
     assert lemma(*words_of(verb), "--out", tmp_path) == 2
-    assert "holds something else" in capsys.readouterr().err
+    assert "but no dataset" in capsys.readouterr().err
     assert bytes_of(tmp_path).keys() <= {".lock", "README.md"}
 
 

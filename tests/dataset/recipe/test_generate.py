@@ -81,7 +81,7 @@ def test_more_episodes_are_added_to_fewer(tmp_path: Path) -> None:
 
 def test_fewer_episodes_than_there_are_is_refused(tmp_path: Path) -> None:
     folder = copytree(small_recipe(), tmp_path / "copy")
-    with pytest.raises(DatasetError, match=r"holds 3 episodes, but 2 are wanted"):
+    with pytest.raises(DatasetError, match="more than the requested 2"):
         generate(replace(small_order(folder), episodes=2), Serial())
     assert bytes_of(folder) == bytes_of(small_recipe())
 

@@ -292,7 +292,7 @@ def test_the_verb_says_what_it_came_to(
     assert found["recovery"]["episodes"] == 1
     assert "differing" not in found
     assert lemma(*words, "--out", tmp_path, "--workers", 1) == 0
-    assert "in spite of" in capsys.readouterr().out
+    assert "despite" in capsys.readouterr().out
     assert lemma("replay", tmp_path, "--workers", 1) == 0
     assert lemma("inspect", tmp_path, "--json") == 0
 

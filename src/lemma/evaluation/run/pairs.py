@@ -1,7 +1,7 @@
-"""Pairs of which one can be done: to act on the one, and to refuse the other.
+"""Pairs of a feasible and an infeasible instance: solve the one, refuse the other.
 
-A policy refuses by deciding to stop before anything was done, with an explanation that
-says who lacks what. It is played by the same rules as everywhere, one robot at a time.
+A policy refuses if its first decision is to stop, with an explanation of what is out of
+whose reach. The rules are those of other episodes, with one robot at a time.
 """
 
 from collections.abc import Iterable, Iterator
@@ -15,35 +15,36 @@ from lemma.tasks.teams.pairs import Pair, sample_pair
 
 @dataclass(frozen=True, slots=True)
 class PlayedPair:
-    """A policy's record with a pair."""
+    """A policy's result for a pair."""
 
     index: int
     solved: bool
-    """Whether it solved the instance that can be solved, strictly."""
+    """Whether it solved the feasible instance, strictly."""
     refused_able: bool
-    """Whether it refused that one, which is wrong."""
+    """Whether it refused the feasible instance, which is wrong."""
     refused: bool
-    """Whether it refused the one that cannot be solved."""
+    """Whether it refused the infeasible instance."""
     explained: bool
-    """Whether it named all that is out of reach, and nothing else of the goal."""
+    """Whether it named everything that is out of reach, and nothing else of the
+    goal."""
     reason: str
-    """Its words then."""
+    """Its explanation of the refusal."""
 
     @property
     def right(self) -> bool:
-        """Whether it did what can be done, and refused what cannot."""
+        """Whether it solved the feasible instance, and refused the other."""
         return self.solved and self.refused
 
 
 def play_pairs(
     policy: str, indices: Iterable[int], kind: str = "high_level"
 ) -> Iterator[PlayedPair]:
-    """Let a policy play pairs, yielding each when both of it are over.
+    """Play pairs with a policy, yielding each after both of its episodes.
 
     Args:
-        policy: Its name, as for ``lemma evaluate --policy``.
-        indices: Of the pairs, see :func:`~lemma.tasks.teams.pairs.sample_pair`.
-        kind: Kind of the sentences.
+        policy: Name of the policy, as for ``lemma evaluate --policy``.
+        indices: Indices of pairs, see :func:`~lemma.tasks.teams.pairs.sample_pair`.
+        kind: Kind of instruction.
 
     Raises:
         LemmaError: There is no such policy, or no such pair.
@@ -65,13 +66,13 @@ def play_pairs(
 
 
 def _explains(reason: str, pair: Pair) -> bool:
-    """Whether a reason names what is lacking alone."""
+    """Return whether an explanation names exactly what is out of reach."""
     named = {n for n in pair.unable.goal.entities if entity_named(n).phrase in reason}
     return named == {*pair.lack.things}
 
 
 def rates(played: Iterable[PlayedPair]) -> dict[str, float]:
-    """Return shares of pairs: of those that are right, and of each half of that."""
+    """Return the shares of right pairs, and of each part of the result, by name."""
     every = list(played)
     columns = ("right", "solved", "refused", "explained", "refused_able")
     return {

@@ -1,4 +1,4 @@
-"""The table as plain data, for planners that read: from the simulation or seen."""
+"""Scenes as plain data for text planners, from the simulation or from ReachNet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lemma.policies.models.reachnet.scene_table import SceneTable
 
 WEIGHTS = "reachnet"
-"""The model that sees, and estimates what each robot reaches."""
+"""Weights of the model for perception and reach."""
 _RAISED_M = 0.01
 
 
@@ -37,18 +37,18 @@ class RobotText:
     """Position of its base along x [m]."""
     y: float
     reach_m: tuple[float, float]
-    """Radii around its base between which it grasps and carries [m]."""
+    """Smallest and largest radius around its base at which it works [m]."""
     carries_kg: float | None = None
     """Largest mass that it carries [kg]; None in a team of standard hands."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectText:
-    """An object of the table."""
+    """An object in the scene."""
 
     name: str
     x: float
-    """Position of its middle along x; for the stick, of its grasp [m]."""
+    """Position of its center along x; for the stick, of its grasp [m]."""
     y: float
     within: tuple[str, ...]
     """Robots that reach it."""
@@ -60,19 +60,19 @@ class ObjectText:
 
 @dataclass(frozen=True, slots=True)
 class SceneText:
-    """A table as a planner reads it."""
+    """A scene as a planner reads it."""
 
     robots: tuple[RobotText, ...]
     objects: tuple[ObjectText, ...]
     lost: tuple[str, ...] = ()
-    """Names of objects that have fallen off."""
+    """Names of objects that have fallen off the table."""
 
 
 class Perception(Protocol):
-    """Describes the table."""
+    """Describes scenes."""
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode.
+        """Return the scene of each episode.
 
         Args:
             inputs: One per episode; at least one.
@@ -85,10 +85,10 @@ class TruthPerception(Oracle):
     """Oracle perception: positions are those of the simulation."""
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode.
+        """Return the scene of each episode.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no ``OracleInput``.
         """
         return [self._look(policy_input) for policy_input in inputs]
 
@@ -115,7 +115,7 @@ class TruthPerception(Oracle):
 
 
 def _state(name: str, now: SymbolicState) -> str:
-    """Return what is true of an object besides its place."""
+    """Return the facts about an object besides its position."""
     if name not in now.supports:
         return ""
     facts = [f"on the {now.supports[name]}"]
@@ -129,25 +129,25 @@ def _state(name: str, now: SymbolicState) -> str:
 
 
 class SeenPerception:
-    """Sees visible objects; hidden ones are listed where they were seen at first."""
+    """Perception with ReachNet; hidden objects keep their first visible position."""
 
     weights = (WEIGHTS,)
     """Published weights that it uses."""
 
     def __init__(self, model: "ReachNet | None" = None) -> None:
-        """Keep the model; weights are loaded when it is needed.
+        """Store the model; weights are loaded at the first use.
 
         Args:
-            model: The model that sees; the published one if None.
+            model: The model for perception; the published one if None.
         """
         self._model = model
 
     @cached_property
     def model(self) -> "ReachNet":
-        """The model that sees."""
+        """The model for perception."""
         if self._model is not None:
             return self._model
-        # torch is an extra, which other planners do without.
+        # torch is an optional dependency, which other planners do not need.
         from lemma.policies.models.reachnet.model import ReachNet  # noqa: PLC0415
         from lemma.policies.weights import load_model  # noqa: PLC0415
 
@@ -156,7 +156,7 @@ class SeenPerception:
         return model
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode."""
+        """Return the scene of each episode."""
         return [self._look(policy_input) for policy_input in inputs]
 
     def _look(self, policy_input: PolicyInput) -> SceneText:
@@ -183,9 +183,9 @@ class SeenPerception:
         return SceneText(tuple(robots), tuple(objects))
 
     def _table(self, policy_input: PolicyInput) -> "SceneTable":
-        """Return what is seen in one view.
+        """Return the perception of one view.
 
-        Views are not batched: that would change last bits, and with them prompts.
+        Views are not batched, because batching changes last bits, and so prompts.
         """
         from lemma.policies.batch import batch_of  # noqa: PLC0415
 
@@ -200,7 +200,7 @@ class SeenPerception:
 def _objects(
     table: "SceneTable", names: tuple[str, ...], policy_input: PolicyInput
 ) -> list[ObjectText]:
-    """Return what is seen on one table."""
+    """Return the perceived objects of one scene."""
     traits = table.traits
     margins = table.margins(table.xy)[0]
     grasp = table.margins(table.grasp[:, None])[0, :, 0]

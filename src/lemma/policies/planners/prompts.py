@@ -129,7 +129,7 @@ def _line_of(thing: ObjectText, speaker: str) -> str:
 
 
 def _at(x: float, y: float) -> str:
-    # Without a minus before what rounds to zero.
+    # Adding 0.0 avoids "-0.00".
     return f"({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f})"
 
 
