@@ -25,6 +25,7 @@ from lemma.cli.options import (
     words,
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import InvalidConfigError
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.planners.chat import ChatOptions
 
@@ -49,6 +50,9 @@ class EvaluateOptions:
     instructions: Listed = "high-level"
     """Kinds of instructions: high-level, human, unseen, blind; or all, which means
     every kind of the tasks."""
+    pairs: Flag = False
+    """Play pairs of one table and one sentence, of which one team can do it and another
+    one cannot: the right answer is then to refuse. --episodes counts two for each."""
     tasks: Listed = ALL
     """Names of tasks, separated by commas."""
     suite: SuiteName = "lemma"
@@ -140,6 +144,7 @@ def evaluate(
     from lemma.evaluation.analysis.result import summarise
     from lemma.evaluation.protocol.rules import NAME, deviations
     from lemma.evaluation.records import SUMMARY, read_about
+    from lemma.evaluation.report.pair_table import pair_table
     from lemma.evaluation.report.tables import rates
     from lemma.evaluation.report.team_table import team_table
     from lemma.evaluation.run.evaluate import evaluate as run
@@ -156,8 +161,11 @@ def evaluate(
     complain_of(rows)
     teams = result.teams
     if as_json:
-        team_fields = {"teams": [asdict(each) for each in teams]} if teams else {}
-        print_json(_rates(result.cells, config.kinds) | team_fields)
+        more: dict[str, Any] = {"teams": teams, "pairs": result.pairs}
+        listed = {k: [asdict(one) for one in v] for k, v in more.items() if v}
+        print_json(_rates(result.cells, config.kinds) | listed)
+    elif result.pairs:
+        output().print(pair_table((p.kind, p) for p in result.pairs).terminal())
     else:
         output().print(rates(result.cells).terminal())
         if teams:
@@ -176,10 +184,18 @@ def _config(
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
+    from lemma.tasks.teams.pairs import PAIR_TASK, PAIRS
 
     own = Instance.load(ask.instance) if ask.instance else None
     tasks = task_names(ask.tasks, ask.suite)
-    if own is not None and ask.tasks == ALL:
+    if ask.pairs:
+        if ask.instance or ask.split or ask.tasks != ALL:
+            raise InvalidConfigError(
+                "Pairs have tables of their own. Use --pairs without --tasks, --split "
+                "and --instance."
+            )
+        tasks, split = (PAIR_TASK,), PAIRS
+    elif own is not None and ask.tasks == ALL:
         tasks, split = (own.task,), OWN_SPLIT
     else:
         split = usual_split(tasks)

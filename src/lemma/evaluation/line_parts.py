@@ -47,6 +47,20 @@ class MessageRecord(Strict):
     time_s: float
 
 
+class PairRecord(Strict):
+    """Record of an instance of a pair of which one cannot be done."""
+
+    can: bool
+    """Whether this team can do it."""
+    refused: bool
+    """Whether the policy stopped before anything was done."""
+    explained: bool
+    """Whether its reason names, of the things in the goal, exactly those that are out
+    of reach."""
+    reason: Annotated[str, Meta(max_length=2000)]
+    """Its words as it refused; empty if it gave none."""
+
+
 class Together(Strict):
     """Record of an episode in which robots act at the same time.
 

@@ -16,11 +16,19 @@ from msgspec import Meta
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
-from lemma.evaluation.line_parts import Names, Poses, Strict, Symbols, Together
+from lemma.evaluation.line_parts import (
+    Names,
+    PairRecord,
+    Poses,
+    Strict,
+    Symbols,
+    Together,
+)
 from lemma.tasks.instance import OWN_SPLIT, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
 from lemma.tasks.suite import FREE_SPLIT
+from lemma.tasks.teams.pairs import PAIRS
 
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
@@ -205,6 +213,8 @@ class _Line(_Verdict, kw_only=True):
     """Only for policies at control level."""
     together: Together | None = None
     """Only for robots that act together."""
+    pair: PairRecord | None = None
+    """Only in the split of pairs of which one cannot be done."""
     wall_s: float = 0.0
     keeps_state: bool = False
     """Whether the policy keeps state from one episode to the next."""
@@ -324,7 +334,7 @@ def check_about(about: object, path: Path) -> None:
         raise DatasetError(
             f"{path} is damaged: {error} of 'about'. Delete it and evaluate again."
         ) from error
-    splits = (*SPLITS, FREE_SPLIT, OWN_SPLIT)
+    splits = (*SPLITS, FREE_SPLIT, PAIRS, OWN_SPLIT)
     if found.split not in splits:
         raise DatasetError(
             f"{path} has an unknown split: {found.split!r}. Known: {', '.join(splits)}."

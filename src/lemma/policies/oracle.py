@@ -55,7 +55,7 @@ class OraclePlanner(Oracle):
         found = []
         for policy_input, subtask in zip(inputs, self.plan(inputs), strict=True):
             begins = not policy_input.past and subtask.primitive is Primitive.STOP
-            why = _refusal(truth_of(policy_input)) if begins else ""
+            why = refusal_words(truth_of(policy_input)) if begins else ""
             found.append(Decision(subtask, None, why))
         return found
 
@@ -142,7 +142,7 @@ class GroundTruthAllocation(Oracle):
         return max(able, key=lambda step: step.quality).subtask
 
 
-def _refusal(episode: Episode) -> str:
+def refusal_words(episode: Episode) -> str:
     """Return why the team cannot reach the goal; empty if the reason is unknown."""
     instance = episode.instance
     territory = Territory(instance.scene.robots, instance.scene.gap_m)

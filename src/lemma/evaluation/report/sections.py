@@ -18,7 +18,7 @@ from lemma.evaluation.experiments.catalog import (
     SUITES,
 )
 from lemma.evaluation.records import older_versions
-from lemma.evaluation.report import measures, tables, team_table
+from lemma.evaluation.report import measures, pair_table, tables, team_table
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -40,6 +40,8 @@ SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
 ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
 """Title of the table of policies at control level."""
+PAIRS = "Pairs of which one cannot be done"
+"""Title of the table of refusals, which stands alone."""
 HOW = "How each row is made"
 """Title of the table with command, weights and number of episodes of each result."""
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
@@ -114,6 +116,11 @@ def sections(
         guide: Link to the page about evaluation.
     """
     _, notes = _prose(guide)
+    if any(result.pairs for entry in entries for result in entry.results):
+        return [
+            Section(PAIRS, notes[PAIRS], _of_pairs(entries), SUCCESS),
+            Section(HOW, "", _provenance(entries), ROWS),
+        ]
     sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
     samples = {
         CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
@@ -147,6 +154,16 @@ def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
         "Unseen templates": tables.by_task(entries, "unseen"),
         "Blind templates": tables.by_task(entries, "blind"),
     }
+
+
+def _of_pairs(entries: Sequence[PolicyResults]) -> Table:
+    """Return how often policies act where a team can, and refuse where it cannot."""
+    return pair_table.pair_table(
+        (f"{entry.title}, {tables.words(one.kind, '-')}", one)
+        for entry in entries
+        for result in entry.results
+        for one in result.pairs
+    )
 
 
 def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:

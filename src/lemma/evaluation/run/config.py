@@ -31,6 +31,7 @@ from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.names import SUITES
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
+from lemma.tasks.teams.pairs import PAIRS, TEST_PAIRS
 
 
 def acting_by_default(tasks: Iterable[str], *, controls: bool = False) -> str:
@@ -94,6 +95,7 @@ class EvaluationConfig:
             )
         for task in self.tasks:
             check_split(task, self.split)
+            self._check_pairs()
             for kind in self.kinds:
                 if known("kind of instruction", kind, EVALUATION_KINDS) == BLIND:
                     check_blind(task, self.split)
@@ -111,6 +113,13 @@ class EvaluationConfig:
             raise InvalidConfigError(
                 f"Split {FREE_SPLIT!r} is sampled without a limit. Set the number of "
                 "episodes of each task with --episodes."
+            )
+
+    def _check_pairs(self) -> None:
+        if self.split == PAIRS and self.language != FULL:
+            raise InvalidConfigError(
+                f"Split {PAIRS!r} asks whether a team can do what its sentence says. "
+                "Give it the full sentence."
             )
 
     def _check_disturbance(self) -> None:
@@ -139,6 +148,8 @@ class EvaluationConfig:
         if self.instance is not None:
             return 1
         every = splits_of(task).get(self.split, self.episodes or 0)
+        if self.split == PAIRS:
+            every = 2 * TEST_PAIRS
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
@@ -184,11 +195,16 @@ class EvaluationConfig:
         policy = self.policy
         kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
         arguments = [f"{name}={value}" for name, value in policy.arguments]
-        own = self.instance is not None
+        own, pairs = self.instance is not None, self.split == PAIRS
         wanted = (
-            ("--split", self.split, not own),
+            ("--pairs", "", pairs),
+            ("--split", self.split, not own and not pairs),
             ("--instance", "FILE.json", own),
-            ("--tasks", ",".join(self.tasks), not own and self.tasks != SUITE),
+            (
+                "--tasks",
+                ",".join(self.tasks),
+                not own and not pairs and self.tasks != SUITE,
+            ),
             ("--episodes", str(self.episodes), self.episodes is not None),
             ("--level", policy.level, bool(policy.level)),
             ("--policy-args", ",".join(arguments), bool(arguments)),

@@ -39,6 +39,7 @@ from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.control import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
+from lemma.evaluation.run.pairs import pair_fields
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.interfaces import keeps_state
 from lemma.policies.policy_object import PolicyObjectSpec
@@ -235,6 +236,7 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         "subtasks": strict_subtasks,
         "left": strict.left,
         **rollout.fields(strict),
+        **pair_fields(rollout),
         **planning,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
     }

@@ -62,11 +62,19 @@ def play_again(
     fault = (lenient or row)["policy_error"]
     if not rollout.is_over(strict=lenient is None):
         if fault is None:
+            rollout.refusal = _refusal_in(row)
             rollout.stop()
         else:
             rollout.fail(Fault(FaultKind(fault["kind"]), fault["explanation"]))
     watch(rollout.episode, count)
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
+
+
+def _refusal_in(row: Row) -> str | None:
+    """Return the words of a policy that refused, where a line has some."""
+    pair, together = row.get("pair"), row.get("together")
+    acted = row["subtasks"] or (together is not None and together["orders"])
+    return pair["reason"] if pair and pair["refused"] and not acted else None
 
 
 def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollout:

@@ -166,7 +166,9 @@ class TeamRollout(Rollout):
         self.efforts += [one.effort for one in orders.decisions if one.effort]
         self.efforts += orders.efforts
         self.messages += orders.messages
-        if any(one.stops for one in orders.decisions):
+        stops = [one for one in orders.decisions if one.stops]
+        if stops:
+            self.refusal = None if self.orders else stops[0].explanation
             self.stop()
             return
         self.asked += 1

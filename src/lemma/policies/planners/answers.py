@@ -43,6 +43,8 @@ class Answer:
     """The sub-task; None to wait."""
     message: str = ""
     """Message to the other robots."""
+    reason: str = ""
+    """Its words for it."""
 
 
 class InvalidAnswerError(Exception):
@@ -163,7 +165,8 @@ class AnswerFormat:
                     f"{field} is {json.dumps(answer[field][:_SHOWN])}. "
                     f"Valid: {', '.join(names)}.",
                 )
-        return Answer(self._subtask(answer), answer.get("message", ""))
+        said = (answer.get(field, "") for field in ("message", "reason"))
+        return Answer(self._subtask(answer), *said)
 
     def _subtask(self, answer: dict[str, str]) -> SubTask | None:
         if answer["primitive"] == WAIT:

@@ -192,8 +192,10 @@ class LanguageModelPlanner(Composite):
     def _decide(self, policy_input: PolicyInput, scene: SceneText) -> Decision:
         tally = _Tally()
         try:
-            subtask = self._ask_team(policy_input, scene, tally)
-            return Decision(subtask, None, effort=tally.effort())
+            subtask, reason = self._ask_team(policy_input, scene, tally)
+            # Words of a stop say what a policy refuses; others are of failures.
+            why = reason if subtask == STOP else ""
+            return Decision(subtask, None, why, effort=tally.effort())
         except _GaveUpError as error:
             return Decision(
                 STOP, None, str(error), failed=error.kind, effort=tally.effort()
@@ -201,7 +203,7 @@ class LanguageModelPlanner(Composite):
 
     def _ask_team(
         self, policy_input: PolicyInput, scene: SceneText, tally: _Tally
-    ) -> SubTask:
+    ) -> tuple[SubTask, str]:
         """Query the planner of the team, or one robot after another until one acts.
 
         The first robot rotates from decision to decision.
@@ -220,7 +222,7 @@ class LanguageModelPlanner(Composite):
             text = question(policy_input, scene, robot, messages)
             said = self._converse(policy_input, answers, text, tally)
             if said.subtask is not None:
-                return said.subtask
+                return said.subtask, said.reason
             messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
         raise AssertionError("the last one cannot wait")
 

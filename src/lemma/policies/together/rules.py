@@ -14,6 +14,7 @@ from lemma.planning.planner import candidates, find_plan
 from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Oracle
+from lemma.policies.oracle import refusal_words
 from lemma.policies.together.interfaces import (
     Orders,
     TeamInput,
@@ -96,7 +97,8 @@ class OracleTeam(Oracle):
             if not done:
                 found = find_plan(team.observe(), goal, team.grounder)
             if found is None or not found.subtasks:
-                return _STOP
+                why = "" if plan.made or done else refusal_words(episode)
+                return Orders((Decision(STOP, None, why),))
             plan.steps, plan.made = found.subtasks, plan.made + 1
             plan.todo, plan.failures = list(range(len(plan.steps))), failures
         return _ordered(_take(plan, team_input))
