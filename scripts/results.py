@@ -223,10 +223,12 @@ def _topic_page(topic: str, found: Sequence[Section]) -> str:
             empty.append(section)
             continue
         note = section.note if len(samples) < 2 else section.caption
+        body = [_wrapped(note), played.markdown()]
         if section.title == HOW and missing:
-            note += f" {NOT_RUN.capitalize()} yet: {', '.join(missing)}."
-        body = "\n\n".join(filter(None, (_wrapped(note), played.markdown())))
-        text += f"\n## {section.title}\n\n{body}"
+            body.insert(
+                1, _wrapped(f"Rows that are {NOT_RUN} yet: {', '.join(missing)}.")
+            )
+        text += f"\n## {section.title}\n\n" + "\n\n".join(filter(None, body))
     for title, listed in (("Long tables, as CSV", long), ("Not run yet", empty)):
         if listed:
             text += f"\n## {title}\n\n"

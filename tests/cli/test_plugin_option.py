@@ -92,7 +92,7 @@ def test_what_to_generate_is_checked() -> None:
     with loaded(PILE):
         with pytest.raises(InvalidConfigError, match="no frozen list 'train'"):
             GenerateConfig(out=Path(), tasks=("stack", "pile"), splits=("train",))
-        with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
+        with pytest.raises(InvalidConfigError, match=r"without limit.*--episodes"):
             GenerateConfig(out=Path(), tasks=("pile",), splits=("free",))
         order = GenerateConfig(
             out=Path(), tasks=("pile", "stack"), splits=("free",), episodes=900

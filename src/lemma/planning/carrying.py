@@ -50,6 +50,10 @@ def ground_carry(
     hands = {robot: (start @ mine, end @ mine), partner: (start @ other, end @ other)}
     if any(geometry.margin(name, *poses) <= 0.0 for name, poses in hands.items()):
         return None
+    # Each robot bears half of the weight.
+    half_kg = 0.5 * now.spec.placement(item).weight_kg
+    if any(geometry.robots[name].carries_kg < half_kg for name in hands):
+        return None
     after = now.moved(item, end, place, f"on {place}")
     for name, support in now.supports.items():
         if support == item:

@@ -52,6 +52,9 @@ class PolicyInput:
     view: View
     past: tuple[PastStep, ...] = ()
     """Decisions before this one, oldest first."""
+    hands: tuple[str, ...] = ()
+    """Hands of the robots, names in ``lemma.robots.hand.HANDS``; empty where all have
+    the standard one."""
 
     def words_for(self, subtask: SubTask) -> str:
         """Return a sub-task of this scene as a sub-instruction.
@@ -81,7 +84,9 @@ class OracleInput(PolicyInput):
 
     def without_truth(self) -> PolicyInput:
         """Return the input without privileged state, as other policies get it."""
-        return PolicyInput(self.instruction, self.robots, self.view, self.past)
+        return PolicyInput(
+            self.instruction, self.robots, self.view, self.past, self.hands
+        )
 
 
 class Oracle:

@@ -237,7 +237,8 @@ class Conversation:
                 for step in policy_input.past
             ]
             number, robots = self._sent[policy_input.view], list(policy_input.robots)
-            plain = (policy_input.instruction, robots, number, past)
+            hands = list(policy_input.hands)
+            plain = (policy_input.instruction, robots, number, past, hands)
             if isinstance(policy_input, TeamInput):
                 team_message = messages.TeamMessage(
                     *plain,

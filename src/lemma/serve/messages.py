@@ -47,6 +47,7 @@ class InputMessage(msgspec.Struct):
     robots: list[str]
     view: int
     past: list[StepMessage] = []
+    hands: list[str] = []
 
 
 class TeamMessage(InputMessage, kw_only=True):
@@ -70,6 +71,7 @@ class TeamMessage(InputMessage, kw_only=True):
             plain.robots,
             plain.view,
             plain.past,
+            plain.hands,
             time_s=self.time_s,
             free=tuple(self.free),
             doing=self.doing,

@@ -164,7 +164,11 @@ class Session:
             for step in asked.past
         )
         found = PolicyInput(
-            asked.instruction, tuple(asked.robots), self._views[asked.view], past
+            asked.instruction,
+            tuple(asked.robots),
+            self._views[asked.view],
+            past,
+            tuple(asked.hands),
         )
         if isinstance(asked, messages.TeamMessage):
             return asked.read(found, self._views)

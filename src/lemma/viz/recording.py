@@ -16,6 +16,7 @@ from lemma.expert.expert import ExpertStep
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
+from lemma.robots.hand import STANDARD
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import phrase, robot_phrases, sub_instruction
@@ -348,7 +349,8 @@ def name_region(words: str, place: str, instance: Instance) -> str:
 def robot_titles(instance: Instance) -> dict[str, str]:
     """Return color and arm type of every robot, by name: ``"red UR5"``.
 
-    Robots of the same color and type also have a side: ``"left red UR5"``.
+    Robots of the same color and type also have a side: ``"left red UR5"``. Hands
+    other than the standard one are named: ``"red UR5, weak hand"``.
     """
     scene = instance.scene
     kinds = [(robot.color, robot.arm) for robot in scene.robots]
@@ -358,4 +360,6 @@ def robot_titles(instance: Instance) -> dict[str, str]:
         color, arm = kind
         words = color if kinds.count(kind) == 1 else said.removesuffix(" robot")
         titles[name] = f"{words} {arm.upper()}"
+    for name, hand in zip(titles, scene.other_hands, strict=False):
+        titles[name] += "" if hand == STANDARD else f", {hand} hand"
     return titles

@@ -58,11 +58,11 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
 
     Raises:
         UnknownNameError: There is no such task or arm.
-        InvalidConfigError: The task has sticks, a gap in the table, or rules.
+        InvalidConfigError: The task has sticks, gaps, rules, or different hands.
     """
-    if TASKS[task].rules:
+    if TASKS[task].rules or TASKS[task].hands:
         raise InvalidConfigError(
-            f"Goals of task {task!r} have rules, which are not checked on a GPU."
+            f"Task {task!r} has rules or different hands, which are not on a GPU."
         )
     chosen = tuple(team or TASKS[task].teams[0])
     found = tuple(

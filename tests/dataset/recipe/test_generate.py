@@ -197,7 +197,7 @@ def test_an_order_is_checked(tmp_path: Path) -> None:
         GenerateConfig(out=tmp_path, tasks=("stak",))
     with pytest.raises(UnknownNameError, match="'val'"):
         GenerateConfig(out=tmp_path, splits=("vall",))
-    with pytest.raises(InvalidConfigError, match="1 or more"):
+    with pytest.raises(InvalidConfigError, match="at least 1"):
         GenerateConfig(out=tmp_path, episodes=0)
 
 

@@ -32,7 +32,7 @@ from lemma.evaluation.records import (
     PROTOCOL_VERSION,
     RESULT_VERSION,
 )
-from lemma.motion.outcome import REFUSED
+from lemma.motion.outcome import REFUSED, Outcome
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
 from lemma.scene.objects.cube import CUBE
@@ -79,7 +79,8 @@ def in_force() -> dict[str, Any]:
             "horizon is reached",
             "thrown": {"coast_m": COAST_M, "flight_s": FLIGHT_S},
             "look_ticks": LOOK_TICKS,
-            "refused": sorted(REFUSED),
+            # On tables of the paper's suite nothing is too heavy for a robot.
+            "refused": sorted(REFUSED - {Outcome.OVERLOAD}),
             "strict": "also the first refused sub-task ends it: protective_stop",
             "lenient": "the policy is told what was refused, and goes on",
             "refusal_s": REFUSAL_S,

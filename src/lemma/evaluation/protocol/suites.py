@@ -13,6 +13,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from lemma.motion.outcome import Outcome
 from lemma.tasks.goal import HOVER_M, LIFTED_M, OVER_M
 from lemma.tasks.instance import BENCHMARK_VERSION, splits_of
 from lemma.tasks.names import SUITE, SUITES
@@ -23,6 +24,10 @@ _SUCCESS: dict[str, dict[str, float]] = {
     "ladder": {"over_m": OVER_M, "hover_m": HOVER_M, "lifted_m": LIFTED_M},
 }
 """Criteria of goals that are not in the protocol."""
+_REFUSED: dict[str, dict[str, list[str]]] = {
+    "teams": {"refused": [Outcome.OVERLOAD.value]},
+}
+"""Outcomes of infeasible sub-tasks that are not in the protocol."""
 
 
 def sha256_of(protocol: Mapping[str, Any]) -> str:
@@ -54,6 +59,7 @@ def definition(suite: str) -> dict[str, Any]:
         "episodes_per_task": {task: dict(splits_of(task)) for task in tasks},
         "lists_sha256": lists_of(tasks),
         "success": _SUCCESS.get(suite, {}),
+        **_REFUSED.get(suite, {}),
     }
 
 

@@ -208,8 +208,7 @@ class Rollout:
     def policy_input(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
         """Return the present input of a policy; without cameras it has no images.
 
-        Images are rendered at once, so that neither the time nor an error counts for
-        the policy. All data are copies, without references to the simulation.
+        Images are rendered at once: neither time nor errors count for the policy.
 
         Args:
             rig: Cameras of the policy, if it has any.
@@ -221,10 +220,11 @@ class Rollout:
         view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
-        fields = (self.instruction, self._phrases, view, tuple(self.past))
+        hands = scene.spec.other_hands
+        given = (self.instruction, self._phrases, view, tuple(self.past), hands)
         if is_oracle(policy):
-            return OracleInput(*fields, episode=self.episode)
-        return PolicyInput(*fields)
+            return OracleInput(*given, episode=self.episode)
+        return PolicyInput(*given)
 
     def fields(self, strict: Verdict) -> dict[str, Any]:
         """Return further fields of its line.

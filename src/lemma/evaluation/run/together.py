@@ -122,7 +122,8 @@ class TeamRollout(Rollout):
                 own[name] = rig.capture(scene, cameras=cameras, robots=(name,))
             view = view if own else rig.capture(scene, cameras=cameras)
         waits = self.team.waits_for
-        common = (self.instruction, self._phrases, view, tuple(self.past))
+        hands = self.instance.scene.other_hands
+        common = (self.instruction, self._phrases, view, tuple(self.past), hands)
         team_fields: dict[str, Any] = {
             "time_s": self.episode.elapsed_s,
             "free": free,

@@ -10,6 +10,7 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Oracle, PolicyInput
 from lemma.policies.oracle import truth_of
+from lemma.robots.hand import HANDS
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.drags import grasp_on_stick
@@ -37,6 +38,8 @@ class RobotText:
     y: float
     reach_m: tuple[float, float]
     """Smallest and largest radius around its base at which it works [m]."""
+    carries_kg: float | None = None
+    """Largest mass that it carries [kg]; None in a team of standard hands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,8 @@ class ObjectText:
     """Robots that reach it."""
     state: str = ""
     """Its support and other facts: ``"on blue_pad"``."""
+    mass_kg: float | None = None
+    """Its mass, where that is not the usual one [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +102,15 @@ class TruthPerception(Oracle):
         ):
             reach = reach_of(placed.arm)
             radii = reach.inner_m, reach.travel_m
-            robots.append(RobotText(name, phrase, placed.base.x, placed.base.y, radii))
+            most_kg = placed.carries_kg if spec.other_hands else None
+            at = placed.base
+            robots.append(RobotText(name, phrase, at.x, at.y, radii, most_kg))
         objects = []
         for name, pose in now.poses.items():
             at = grasp_on_stick(pose) if name == STICK else pose
             within = tuple(r for r in spec.robot_names if geometry.reaches(r, at))
-            objects.append(ObjectText(name, at.x, at.y, within, _state(name, now)))
+            mass_kg, state = spec.placement(name).mass_kg, _state(name, now)
+            objects.append(ObjectText(name, at.x, at.y, within, state, mass_kg))
         return SceneText(tuple(robots), tuple(objects), now.fallen)
 
 
@@ -160,7 +168,9 @@ class SeenPerception:
         ):
             x, y = map(_metres, now.bases[0, number].tolist())
             inner, outer, _ = map(_metres, now.radii[0, number].tolist())
-            robots.append(RobotText(name, phrase, x, y, (inner, outer)))
+            hands = policy_input.hands
+            most_kg = HANDS[hands[number]].carries_kg if hands else None
+            robots.append(RobotText(name, phrase, x, y, (inner, outer), most_kg))
         objects = _objects(now, names, policy_input)
         if policy_input.past:
             seen = {thing.name for thing in objects}

@@ -82,6 +82,7 @@ class TeamOracleInput(TeamInput, OracleInput):
             self.robots,
             self.view,
             self.past,
+            self.hands,
             time_s=self.time_s,
             free=self.free,
             doing=self.doing,

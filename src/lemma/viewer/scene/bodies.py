@@ -175,8 +175,9 @@ class Bodies:
 
 def _look(spec: SceneSpec) -> tuple[object, ...]:
     """Return the properties of a scene that determine its meshes."""
-    robots = tuple((robot.arm, robot.color) for robot in spec.robots)
-    return robots, tuple((o.kind, o.color) for o in spec.objects), spec.gap_m
+    robots = tuple((robot.arm, robot.color, robot.hand) for robot in spec.robots)
+    objects = tuple((o.kind, o.color, o.mass_kg is None) for o in spec.objects)
+    return robots, objects, spec.gap_m
 
 
 def _put(by: Pose2, pose: FloatArray) -> FloatArray:
