@@ -63,7 +63,9 @@ class RobotPlacement:
             name: Its name.
             thing: The object.
         """
-        if thing.weight_kg <= self.carries_kg:
+        # Two robots share the weight of what they carry together.
+        hands = 1 if thing.entity.kind.carried is None else 2
+        if thing.weight_kg <= hands * self.carries_kg:
             return ""
         return (
             f"The {thing.name} weighs {thing.weight_kg:g} kg, but {name} ({self.arm}, "
