@@ -138,8 +138,17 @@ def _open(conjuncts: tuple[Predicate, ...], now: SymbolicState) -> int:
 
 
 def _bound(now: SymbolicState, goal: Goal) -> float:
-    """Return a cost that no way to the goal undercuts: one step per open conjunct."""
-    return _LEAST * _open(goal.conjuncts, now)
+    """Return a cost that no way to the goal undercuts: one step per open conjunct.
+
+    One step lays a plank on two things.
+    """
+    left = [on for on in goal.conjuncts if not now.has(on.top, on.bottom)]
+    planks = [on.top for on in left if on.top != HAND and _is_plank(on.top)]
+    return _LEAST * (len(left) - len(planks) + len(set(planks)))
+
+
+def _is_plank(name: str) -> bool:
+    return kind_of(name).span_m is not None
 
 
 def candidates(

@@ -1,6 +1,6 @@
 """State of the symbolic planner: poses of objects, and their supports."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from lemma.core.poses import Pose2
 from lemma.scene.objects.entity import STICK, kind_of
@@ -13,6 +13,8 @@ TABLE = "table"
 _ON_M = 0.03
 """A thing lies on another when their middles are no farther apart, or as far as the
 other's kind allows."""
+LEVEL_M = 0.01
+"""A plank lies on a thing whose top is this near to its bottom, in height."""
 _LIFTED_M = 0.025
 """An object with its bottom higher than this lies on an object with its top higher than
 this, such as a pad or a cube; one with its bottom lower, on the table or a thin mat."""
@@ -32,6 +34,8 @@ class SymbolicState:
     """How each movable object got where it is: two ways to one place are one state."""
     fallen: tuple[str, ...] = ()
     """Objects that fell off the table: they are lost, and no other field has them."""
+    seconds: dict[str, str] = field(default_factory=dict)
+    """The other support of each plank that lies across two things."""
 
     @classmethod
     def observe(cls, scene: Scene) -> "SymbolicState":
@@ -47,8 +51,14 @@ class SymbolicState:
         }
         movable = (name for name in scene.movable_names if name not in fallen)
         labels = dict.fromkeys(movable, "start")
+        seconds = {}
+        for name in supports:
+            posts = _posts(name, poses, heights)
+            if len(posts) == 2:
+                supports[name], seconds[name] = posts
         labels.update({n: f"on {s}" for n, s in supports.items() if s != TABLE})
-        return cls(scene.spec, poses, supports, labels, fallen)
+        labels.update({n: across_label(supports[n], s) for n, s in seconds.items()})
+        return cls(scene.spec, poses, supports, labels, fallen, seconds)
 
     @property
     def key(self) -> tuple[tuple[str, str], ...]:
@@ -57,12 +67,12 @@ class SymbolicState:
 
     def has(self, top: str, bottom: str) -> bool:
         """Whether a pair of a goal holds; a hand may be either of it."""
-        return self.supports.get(top) == bottom
+        return bottom in (self.supports.get(top), self.seconds.get(top))
 
     def on_top_of(self, name: str) -> str | None:
         """Return what lies on an object, if anything does."""
         for cube, support in self.supports.items():
-            if support == name:
+            if name in (support, self.seconds.get(cube)):
                 return cube
         return None
 
@@ -74,16 +84,33 @@ class SymbolicState:
         return is_prepared(primitive, stick, pose, kind_of(cube))
 
     def moved(
-        self, name: str, pose: Pose2, support: str, label: str
+        self,
+        name: str,
+        pose: Pose2,
+        support: str,
+        label: str,
+        second: str | None = None,
     ) -> "SymbolicState":
-        """Return the situation after an object was moved."""
-        supports = self.supports
+        """Return the situation after an object was moved.
+
+        Args:
+            name: The object.
+            pose: Where it lies then.
+            support: An entity or the table.
+            label: How it got there.
+            second: The other support of a plank.
+        """
+        supports, seconds = self.supports, self.seconds
         if name in supports:
             supports = {**supports, name: support}
+        if second is not None or name in seconds:
+            seconds = {other: on for other, on in seconds.items() if other != name}
+            seconds |= {} if second is None else {name: second}
         return replace(
             self,
             poses={**self.poses, name: pose},
             supports=supports,
+            seconds=seconds,
             labels={**self.labels, name: label},
         )
 
@@ -98,6 +125,28 @@ def _support(name: str, poses: dict[str, Pose2], heights: dict[str, float]) -> s
     ]
     # Of a stack, what lies highest; of plates, the first.
     return max(below, key=lambda other: heights[other], default=TABLE)
+
+
+def across_label(one: str, other: str) -> str:
+    """Return the label of a plank on two things."""
+    return f"on {one} and {other}"
+
+
+def _posts(
+    name: str, poses: dict[str, Pose2], heights: dict[str, float]
+) -> tuple[str, ...]:
+    """Return the two things that an object lies across, by name; none of others."""
+    kind = kind_of(name)
+    if kind.span_m is None:
+        return ()
+    found, bottom = set[str](), heights[name] - kind.origin_m
+    for rest in kind.rests(poses[name]):
+        for other, pose in poses.items():
+            support = kind_of(other).support_m if other != name else None
+            top = heights[other] + kind_of(other).top_m
+            if support is not None and abs(top - bottom) < LEVEL_M:
+                found |= {other} if rest.distance(pose) < max(_ON_M, support) else set()
+    return tuple(sorted(found)) if len(found) == 2 else ()
 
 
 def _is_below(

@@ -19,7 +19,7 @@ import numpy as np
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
-from lemma.core.poses import Pose
+from lemma.core.poses import Pose, Pose2
 from lemma.core.seeding import ordered_sum
 from lemma.scene.objects.contacts import LEFT, RIGHT, find_touches
 from lemma.scene.objects.entity import HAND, kind_of
@@ -47,7 +47,10 @@ _STEEP = math.cos(math.radians(30.0))
 
 @dataclass(frozen=True, slots=True)
 class On:
-    """One thing lies on another: a cube on a pad, or a cube on a cube."""
+    """One thing lies on another: a cube on a pad, a cube on a cube, a plank on a post.
+
+    A plank lies on two things, and a goal says so with two of these.
+    """
 
     top: str
     bottom: str
@@ -74,11 +77,12 @@ class On:
     def holds(self, scene: Scene) -> bool:
         """Whether it is true now.
 
-        The bottom alone carries the top: they touch, and nothing else touches the top
-        but what lies on it. Both are at rest and level, on the table and not below it,
+        The bottom alone carries the top, or of a plank with one other object: they
+        touch, and nothing else touches the top but what lies on it. Both are at rest and level, on the table and not below it,
         and no robot touches either. The top's middle is no farther from the bottom's
         than the bottom's kind allows: on a pad at least 1 cm inside its edge, on a cube
-        above its top face.
+        above its top face. Of a plank that holds for one of the two places over which
+        it shall rest (:meth:`.ObjectKind.rests`).
         """
         # From cheap to dear: this is asked at every step.
         return (
@@ -109,6 +113,12 @@ class On:
         limit = kind_of(self.bottom).support_m
         assert limit is not None
         top, bottom = scene.position(self.top), scene.position(self.bottom)
+        kind = kind_of(self.top)
+        if kind.span_m is not None:
+            at = Pose2(float(bottom[0]), float(bottom[1]))
+            rests = kind.rests(scene.pose2(self.top))
+            over = any(rest.distance(at) <= limit for rest in rests)
+            return over and bool(top[2] > bottom[2])
         dx, dy = top[0] - bottom[0], top[1] - bottom[1]
         return dx * dx + dy * dy <= limit * limit and top[2] > bottom[2]
 
@@ -265,8 +275,9 @@ def _stands_on_a_face(scene: Scene, name: str) -> bool:
 def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """Whether an object lies on another one, and nothing else touches it from anywhere.
 
-    Objects on the upper one may touch it from above. No robot may touch
-    either of them; a bottom that is fixed to the table may be touched.
+    Objects on the upper one may touch it from above, and one more may carry a plank.
+    No robot may touch either of them; a bottom that is fixed to the table may be
+    touched.
 
     Args:
         scene: Where things are now.
@@ -275,17 +286,19 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """
     model = scene.model
     lower, upper = (int(model.body(name).id) for name in (bottom, top))
-    carried = False
+    carriers, most = set[int](), 1 if kind_of(top).span_m is None else 2
     for first, second, rise in _touching(scene, (upper, lower)):
         entity = scene.entity_of_body(second)
         if first == lower:
             if entity is None and second > 0 and bottom in scene.movable_names:
                 return False
         elif second == lower:
-            carried = carried or rise <= -_STEEP
+            carriers |= {second} if rise <= -_STEEP else set()
+        elif most > 1 and entity is not None and rise <= -_STEEP:
+            carriers.add(second)
         elif entity is None or rise < _STEEP:
             return False
-    return carried
+    return lower in carriers and len(carriers) <= most
 
 
 def _hangs_in_a_hand(scene: Scene, name: str) -> bool:

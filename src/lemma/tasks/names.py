@@ -31,7 +31,7 @@ def rung_task(rung: str, degree: str) -> str:
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
 """The 24 tasks of the suite ``ladder``; four of them are of the suite ``lemma``."""
-FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange")
+FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange", "bridge")
 """The families of the suite ``teams``, for three and four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """Sets of tasks with frozen lists, by name."""

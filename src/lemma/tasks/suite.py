@@ -12,7 +12,7 @@ from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance, splits_of
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
-from lemma.tasks.teams import families  # noqa: F401 - adds tasks
+from lemma.tasks.teams import bridge, families  # noqa: F401 - adds tasks
 
 __all__ = [
     "FREE_SPLIT",

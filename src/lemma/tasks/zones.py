@@ -101,13 +101,15 @@ class Territory:
         """Return where a robot could possibly do anything."""
         return could_of(self.robots[robot].arm)
 
-    def only(self, *robots: int, tool: bool = False) -> Zone:
+    def only(self, *robots: int, tool: bool = False, beyond_m: float = 0.0) -> Zone:
         """Where one robot works, or each of some, and no other could do anything.
 
         Args:
             robots: Which.
             tool: Whether the others could do nothing even with the stick in their
                 hand, such as to carry a cube there on it.
+            beyond_m: How long another thing is with which they could do nothing either
+                [m].
         """
         others = tuple(r for r in range(len(self.robots)) if r not in robots)
 
@@ -116,7 +118,7 @@ class Territory:
             for robot in robots:
                 found &= self.works(robot, x, y)
             for other in others:
-                found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M)
+                found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M + beyond_m)
             return found
 
         who = " and the ".join(f"{{{robot}}}" for robot in robots)
@@ -124,6 +126,8 @@ class Territory:
         says = f"where the {who} {works}, and no other robot could do anything"
         if tool:
             says += " even with the stick"
+        if beyond_m:
+            says += f" even with a bar of {100 * beyond_m:.0f} cm"
         return Zone(sift, barred=others, tool=tool, says=says)
 
     def nobody(self) -> Zone:

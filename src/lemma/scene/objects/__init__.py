@@ -2,6 +2,6 @@
 
 # The kinds are registered in this order, by any order of imports: entities
 # that users add are numbered by it.
-from lemma.scene.objects import cube, pad, stick
+from lemma.scene.objects import cube, pad, plank, stick
 
-__all__ = ["cube", "pad", "stick"]
+__all__ = ["cube", "pad", "plank", "stick"]

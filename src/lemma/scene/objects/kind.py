@@ -152,6 +152,9 @@ class ObjectKind:
     support_m: float | None = None
     """How far from its middle the middle of what lies on it may be; None where nothing
     can."""
+    span_m: float | None = None
+    """Between the middles of two things of one height that it lies across, half of it
+    to each side along x; None for what lies on one thing."""
     drag_m: float | None = None
     """From its middle to where the stick touches it; None where the stick must not
     drag it."""
@@ -227,6 +230,17 @@ class ObjectKind:
     def top_m(self) -> float:
         """Height of its top above its frame [m]."""
         return self.height_m - self.origin_m
+
+    def rests(self, pose: Pose2) -> tuple[Pose2, ...]:
+        """Return over which places its weight rests: its middle, or two of a plank.
+
+        Args:
+            pose: Where it lies.
+        """
+        if self.span_m is None:
+            return (pose,)
+        half_m = 0.5 * self.span_m
+        return (pose @ Pose2(-half_m, 0.0), pose @ Pose2(half_m, 0.0))
 
     def spacing_to(self, other: "ObjectKind") -> float:
         """Return the least distance of the middles of two objects on a table [m]."""

@@ -23,7 +23,8 @@ may be the hand, see :mod:`lemma.tasks.goal`."""
 
 KindPairs = tuple[tuple[str, str], ...]
 """The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have
-no slot for the hand."""
+no slot for the hand, nor need they have one for a kind of one color, or for a role that
+stands for an earlier one: ``(("cube", "pad"), ("plank", "top1"))``."""
 
 KINDS = ("high_level", "human", "unseen")
 """Kinds of instructions that every instance carries and every recipe records;
@@ -41,6 +42,7 @@ MAX_CHARACTERS = 200
 SLOT = re.compile(r"\{(?P<role>(?:top|bottom)[1-9]?)(?:\.(?P<part>color|kind))?\}")
 """A slot: a role, alone or with the part of the entity that is said."""
 
+_ROLE = re.compile(r"(?:top|bottom)[1-9]")
 _SLOT_HELP = (
     "Slots are {top}, {bottom} ('red cube'), {top.color}, {bottom.color} ('red') and "
     "{top.kind}, {bottom.kind} ('cube'); with several conjuncts {top1}, {bottom1}, "
@@ -101,6 +103,8 @@ class Template:
         if found <= {"top", "bottom"}:
             return (("top", "bottom"),)
         count = max(int(role[-1]) for role in found if role[-1].isdigit())
+        for kinds in (self.entity_kinds or ())[count:]:
+            count += all(kind in found or _is_of_one_color(kind) for kind in kinds)
         return tuple((f"top{n}", f"bottom{n}") for n in range(1, count + 1))
 
     def render(self, goal_pairs: GoalPairs) -> str:
@@ -129,6 +133,12 @@ class Template:
                         )
                     continue
                 found = entities[role] = entity_named(entity)
+                same = self._earlier(role)
+                if same is not None and found != entities[same]:
+                    raise self._error(
+                        f"its {role!r} is its {same!r} again, but the goal has "
+                        f"{entity!r} there. Use a template of the goal's own task"
+                    )
                 if self._kind(role) not in (None, found.kind.name):
                     raise self._error(
                         f"its {role!r} is a {self._kind(role)}, but the goal has "
@@ -145,7 +155,7 @@ class Template:
         """Return the goal of a sentence, or None if the template cannot say it.
 
         Letter case and the final punctuation are ignored. Things that come in one color
-        only are not found.
+        only are found where ``entity_kinds`` names them.
         """
         nouns = _nouns()
         pattern = _pattern(self, tuple(OBJECT_COLORS), tuple(nouns))
@@ -158,7 +168,8 @@ class Template:
             for top, bottom in self.roles
         )
         tops = {top for top, _ in goal}
-        if len(tops) < len(self.roles) or any(top == bottom for top, bottom in goal):
+        said_tops = {self._said(top) for top, _ in self.roles}
+        if len(tops) < len(said_tops) or any(top == bottom for top, bottom in goal):
             return None
         return goal
 
@@ -172,10 +183,24 @@ class Template:
         return re.sub(r"[^a-z*]+", " ", filled.lower()).strip()
 
     def _kind(self, role: str) -> str | None:
+        kind = self._entry(role)
+        return self._kind(kind) if kind is not None and _ROLE.fullmatch(kind) else kind
+
+    def _entry(self, role: str) -> str | None:
         if self.entity_kinds is None:
             return None
         conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
         return self.entity_kinds[conjunct][role.startswith("bottom")]
+
+    def _earlier(self, role: str) -> str | None:
+        """Return the earlier role that a role stands for, if it does."""
+        entry = self._entry(role)
+        return entry if entry is not None and _ROLE.fullmatch(entry) else None
+
+    def _said(self, role: str) -> str:
+        """Return by what a sentence says a role: a role with a slot, or a kind."""
+        role, kind = self._earlier(role) or role, self._kind(role)
+        return kind if kind is not None and _is_of_one_color(kind) else role
 
     def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
         kind = self._kind(slot["role"])
@@ -186,9 +211,11 @@ class Template:
     def _entity(
         self, role: str, said: dict[str, str], nouns: dict[str, ObjectKind]
     ) -> str:
-        kind = self._kind(role)
+        role, kind = self._earlier(role) or role, self._kind(role)
         if kind == HAND:
             return HAND
+        if kind is not None and _is_of_one_color(kind):
+            return Entity("", OBJECT_KINDS[kind]).name
         record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
         return Entity(said[f"{role}_color"], record).name
 
@@ -206,7 +233,11 @@ class Template:
         for slot in SLOT.finditer(self.text):
             said.setdefault(slot["role"], set()).add(slot["part"])
         roles = [role for pair in self.roles for role in pair]
-        expected = {role for role in roles if self._kind(role) != HAND}
+        expected = {
+            role
+            for role in roles
+            if self._said(role) == role and self._kind(role) != HAND
+        }
         if set(said) != expected:
             raise self._error(
                 f"it has slots for {sorted(said)}, but needs {sorted(expected)}. "
@@ -225,7 +256,7 @@ class Template:
 
     def _check_kinds(self, entity_kinds: KindPairs) -> None:
         for kind in (kind for pair in entity_kinds for kind in pair):
-            if kind != HAND:
+            if kind != HAND and not _ROLE.fullmatch(kind):
                 OBJECT_KINDS[kind]
         if len(entity_kinds) != len(self.roles):
             raise self._error(
@@ -323,6 +354,10 @@ class LanguageBank:
             The (top, bottom) pairs; None if no template says the sentence.
         """
         return only_goal(self, sentence)
+
+
+def _is_of_one_color(kind: str) -> bool:
+    return kind in OBJECT_KINDS and not OBJECT_KINDS[kind].colored
 
 
 def _nouns() -> dict[str, ObjectKind]:
