@@ -47,6 +47,10 @@ class Task:
     rules: tuple[str, ...] = ()
     """Kinds of rules of which each instance has one, each as likely; ``arrange`` finds
     it as ``placer.rule``. Names in :data:`~lemma.tasks.teams.rule.RULES`."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of objects on its tables that others do not have, such as ``"plank"``: its
+    actions and observations count them. Names in
+    :data:`~lemma.scene.objects.kind.OBJECT_KINDS`."""
     layout: str = "pair"
     """Where the robots stand: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False

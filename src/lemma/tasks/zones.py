@@ -118,7 +118,9 @@ class Territory:
             for robot in robots:
                 found &= self.works(robot, x, y)
             for other in others:
-                found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M + beyond_m)
+                found &= self.cannot(
+                    other, kind, x, y, tool=tool, by_m=REMOTE_M + beyond_m
+                )
             return found
 
         who = " and the ".join(f"{{{robot}}}" for robot in robots)

@@ -9,6 +9,7 @@ never change. Entities of users come behind them, and behind ``"shared"`` where
 that is a choice too: see :func:`known_entities`.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -108,23 +109,32 @@ def _color_and_kind(name: str) -> tuple[str, ObjectKind]:
         record = OBJECT_KINDS[kind]
         if color in OBJECT_COLORS if record.colored else not separator:
             return color, record
-    raise UnknownNameError("entity", name, known_entities())
+    raise UnknownNameError("entity", name, known_entities(tuple(OBJECT_KINDS)))
 
 
-def known_entities() -> tuple[str, ...]:
+def known_entities(kinds: Collection[str] = ()) -> tuple[str, ...]:
     """Return every entity that may be on a table now: their order is their number.
 
     :data:`ENTITIES` come first, then what was registered since: by kind, in each by
     color, both in the order of registration.
+
+    Args:
+        kinds: Kinds that only some tasks have (:attr:`.Task.kinds`), and that count
+            too.
     """
     every = (
         Entity(color, kind).name
         for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS)
+        if kind.listed or kind.name in kinds
         for color in (OBJECT_COLORS if kind.colored else ("",))
     )
     return tuple(dict.fromkeys((*ENTITIES, *every)))
 
 
-def extra_entities() -> tuple[str, ...]:
-    """Return the entities of :func:`known_entities` that users registered."""
-    return known_entities()[len(ENTITIES) :]
+def extra_entities(kinds: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the entities of :func:`known_entities` that are not the benchmark's.
+
+    Args:
+        kinds: See there.
+    """
+    return known_entities(kinds)[len(ENTITIES) :]

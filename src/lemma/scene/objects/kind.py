@@ -127,6 +127,9 @@ class ObjectKind:
     color: Rgba | None = None
     """Color of a kind of which there is one in a scene, called by the kind's name
     alone; None where it comes in every color of the palette."""
+    listed: bool = True
+    """Whether actions and observations of every task count it; otherwise only those of
+    tasks that name it in :attr:`.Task.kinds`."""
     fixed: bool = False
     """Whether it is part of the table."""
     tool: bool = False

@@ -3,9 +3,9 @@
 Its frame is in its middle; x points along it. It is held in its middle, across.
 """
 
-from lemma.scene.objects.kind import OBJECT_KINDS, Capsule, Grasp, Shell, box
-from lemma.core.poses import Pose2
 import math
+
+from lemma.scene.objects.kind import OBJECT_KINDS, Capsule, Grasp, Shell, box
 
 PLANK_LENGTH_M = 0.26
 PLANK_WIDTH_M = 0.04
@@ -43,6 +43,7 @@ PLANK = OBJECT_KINDS.add(
             ),
             PLANK_THICKNESS_M / 2,
         ),
+        listed=False,
         span_m=PLANK_SPAN_M,
     ),
 )

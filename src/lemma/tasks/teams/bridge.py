@@ -1,15 +1,15 @@
 """The family bridge of the suite ``teams``: a plank on two posts."""
 
-from lemma.core.poses import Pose2
+import numpy as np
+
+from lemma.core.poses import FloatArray, Pose2
+from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.objects.plank import PLANK_LENGTH_M, PLANK_SPAN_M
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.teams.families import OF_THREE
 from lemma.tasks.zones import Mask, Zone
-from lemma.scene.objects.kind import ObjectKind
-from lemma.core.poses import FloatArray
-import numpy as np
 
 SPAN_SLACK_M = 0.008
 """How much nearer or farther than the plank spans the two pads may be."""
@@ -21,6 +21,7 @@ SPAN_SLACK_M = 0.008
     subtasks=3,
     distractors=(0, 1),
     layout="triangle",
+    kinds=("plank",),
     teams=OF_THREE,
 )
 def arrange_bridge(placer: ObjectPlacer) -> Goal:
