@@ -238,10 +238,9 @@ class SkillRunner:
     def _put_down(self, place: Pose2, held: str, grip_m: float) -> Stand:
         """Return where the hand stands when what it holds touches its support."""
         bottom = grip_m - _grasp_of(held).height_m
-        exclude = self.scene.model.body(held).id
-        kind = kind_of(held)
-        points = kind.rests(place) if kind.span_m is not None else (place,)
-        support = max(self.surface(at, exclude=exclude)[0] for at in points)
+        body = self.scene.model.body(held).id
+        rests = kind_of(held).rests(place)
+        support = max(self.surface(at, exclude=body)[0] for at in rests)
         return stand_at(place, support + grip_m - bottom - _PRESS_M)
 
     def drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:

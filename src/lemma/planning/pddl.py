@@ -15,7 +15,7 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import PLACED
 from lemma.planning.symbolic_state import TABLE, SymbolicState
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive
 
@@ -75,20 +75,23 @@ def to_pddl(
         grounder: Of the same scene.
 
     Raises:
-        InvalidConfigError: The goal is about hands or has a rule, or there is no plan
-            of moves alone: dragging with the stick is geometry, not symbols.
+        InvalidConfigError: The goal is about hands or a plank, or has a rule, or there
+            is no plan of moves alone: dragging with the stick is geometry, not symbols.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
         step.primitive is Primitive.MOVE and step.pick != STICK
         for step in plan.subtasks
     )
-    placed = all(isinstance(part, On) for part in goal.conjuncts)
+    placed = all(
+        isinstance(part, On) and kind_of(part.top).span_m is None
+        for part in goal.conjuncts
+    )
     if not moves or not placed or goal.rule is not None:
         raise InvalidConfigError(
             f"{name} cannot be told in PDDL: its goal is not reached by moving cubes "
-            "alone. Choose an instance of a task without the stick, and without hands "
-            "or a rule in its goal, such as relay."
+            "alone. Choose an instance of a task without the stick, and without hands, "
+            "a plank or a rule in its goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

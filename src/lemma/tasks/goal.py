@@ -81,8 +81,9 @@ class On:
         touch, and nothing else touches the top but what lies on it. Both are at rest
         and level, on the table and not below it, and no robot touches either. The
         top's middle is no farther from the bottom's than the bottom's kind allows: on
-        a pad at least 1 cm inside its edge, on a cube above its top face. Of a plank that holds for one of the two places over which
-        it shall rest (:meth:`.ObjectKind.rests`).
+        a pad at least 1 cm inside its edge, on a cube above its top face. Of a plank,
+        one of the two places over which it shall rest is that near to the bottom's
+        middle (:meth:`.ObjectKind.rests`).
         """
         # From cheap to dear: this is asked at every step.
         return (

@@ -66,6 +66,9 @@ class Template:
             InvalidConfigError: The text is not a usable template.
         """
         self._check_text()
+        for number, kinds in enumerate(self.entity_kinds or (), 1):
+            if any(_ROLE.fullmatch(k) and int(k[-1]) >= number for k in kinds):
+                raise self._error("a role in entity_kinds must be of an earlier pair")
         self._check_roles()
         longest = max(BENCHMARK_COLORS, key=len)
         size = len(SLOT.sub(lambda slot: self._fill(slot, longest, "cube"), self.text))
@@ -133,13 +136,8 @@ class Template:
                         )
                     continue
                 found = entities[role] = entity_named(entity)
-                same = self._earlier(role)
-                if same is not None and found != entities[same]:
-                    raise self._error(
-                        f"its {role!r} is its {same!r} again, but the goal has "
-                        f"{entity!r} there. Use a template of the goal's own task"
-                    )
-                if self._kind(role) not in (None, found.kind.name):
+                same = found == entities[self._resolved(role)[0]]
+                if not same or self._kind(role) not in (None, found.kind.name):
                     raise self._error(
                         f"its {role!r} is a {self._kind(role)}, but the goal has "
                         f"{entity!r} there. Use a template of the goal's own task"
@@ -183,23 +181,19 @@ class Template:
         return re.sub(r"[^a-z*]+", " ", filled.lower()).strip()
 
     def _kind(self, role: str) -> str | None:
-        kind = self._entry(role)
-        return self._kind(kind) if kind is not None and _ROLE.fullmatch(kind) else kind
+        return self._resolved(role)[1]
 
-    def _entry(self, role: str) -> str | None:
+    def _resolved(self, role: str) -> tuple[str, str | None]:
+        """Return the role that a role stands for, mostly itself, and its kind."""
         if self.entity_kinds is None:
-            return None
+            return role, None
         conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
-        return self.entity_kinds[conjunct][role.startswith("bottom")]
-
-    def _earlier(self, role: str) -> str | None:
-        """Return the earlier role that a role stands for, if it does."""
-        entry = self._entry(role)
-        return entry if entry is not None and _ROLE.fullmatch(entry) else None
+        entry = self.entity_kinds[conjunct][role.startswith("bottom")]
+        return self._resolved(entry) if _ROLE.fullmatch(entry) else (role, entry)
 
     def _said(self, role: str) -> str:
-        """Return by what a sentence says a role: a role with a slot, or a kind."""
-        role, kind = self._earlier(role) or role, self._kind(role)
+        """Return what tells a role in a sentence: a role with a slot, or a kind."""
+        role, kind = self._resolved(role)
         return kind if kind is not None and _is_of_one_color(kind) else role
 
     def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
@@ -211,7 +205,7 @@ class Template:
     def _entity(
         self, role: str, said: dict[str, str], nouns: dict[str, ObjectKind]
     ) -> str:
-        role, kind = self._earlier(role) or role, self._kind(role)
+        role, kind = self._resolved(role)
         if kind == HAND:
             return HAND
         if kind is not None and _is_of_one_color(kind):
@@ -233,11 +227,7 @@ class Template:
         for slot in SLOT.finditer(self.text):
             said.setdefault(slot["role"], set()).add(slot["part"])
         roles = [role for pair in self.roles for role in pair]
-        expected = {
-            role
-            for role in roles
-            if self._said(role) == role and self._kind(role) != HAND
-        }
+        expected = {r for r in roles if self._said(r) == r and self._kind(r) != HAND}
         if set(said) != expected:
             raise self._error(
                 f"it has slots for {sorted(said)}, but needs {sorted(expected)}. "
