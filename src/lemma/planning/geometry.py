@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from lemma.core.poses import Pose2
-from lemma.planning.symbolic_state import LEVEL_M, TABLE, SymbolicState
+from lemma.planning.symbolic_state import SymbolicState
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.robots.reach import reach_of
@@ -134,8 +134,6 @@ def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...], gap_m: Gap | None) 
 
 
 _ENOUGH_M = 0.008
-SPAN_SLACK_M = 0.02
-"""How much farther apart, or nearer, than a plank spans its supports may be."""
 _FLAT_M = 0.01
 """Fingers that grasp something come down over what is lower than this."""
 
@@ -218,49 +216,6 @@ class SceneGeometry:
             if self._drags[key] is not None:
                 return self._drags[key]
         return None
-
-    def across(
-        self, item: str, place: str, now: SymbolicState
-    ) -> tuple[Pose2, str, str] | None:
-        """Return where a plank lies across a thing and another one of its height.
-
-        Args:
-            item: The plank.
-            place: The thing.
-            now: Where things are.
-
-        Returns:
-            Its pose, and the two things by name; None where there is no other one
-            with nothing on it, as far from it as the plank spans.
-        """
-        span_m = kind_of(item).span_m
-        posts = [
-            name
-            for name in now.poses
-            if self._kinds[name].support_m is not None and now.on_top_of(name) is None
-        ]
-        if span_m is None or place not in posts:
-            return None
-        one = now.poses[place]
-        off_m = {
-            name: abs(one.distance(now.poses[name]) - span_m)
-            for name in posts
-            if abs(self._top_m(name, now) - self._top_m(place, now)) < LEVEL_M
-        }
-        other = min(off_m, key=off_m.__getitem__)
-        if off_m[other] > SPAN_SLACK_M:
-            return None
-        first, second = sorted((place, other))
-        a, b = now.poses[first], now.poses[second]
-        yaw = math.atan2(b.y - a.y, b.x - a.x)
-        return Pose2(0.5 * (a.x + b.x), 0.5 * (a.y + b.y), yaw), first, second
-
-    def _top_m(self, name: str, now: SymbolicState) -> float:
-        """Return how high the top of a thing is, by what it stands on [m]."""
-        below = now.supports.get(name, TABLE)
-        height_m = self._kinds[name].height_m
-        lies = below in self._kinds
-        return height_m + self._top_m(below, now) if lies else height_m
 
     def grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2 | None:
         """Return the gripper pose that grasps a cube with most room for the fingers.

@@ -112,7 +112,7 @@ def ground_move(
             return None
         target, support, label = spot, TABLE, subtask.place
     elif kind.span_m is not None:
-        across = geometry.across(cube, subtask.place, now)
+        across = now.across(cube, subtask.place)
         if across is None:
             return None
         target, support, second = across
@@ -279,7 +279,18 @@ def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
         above = None if name in regions else now.on_top_of(name)
         if above is not None and above != pick:
             return f"The {above} lies on the {name}."
-    return f"The {pick} lies there already." if now.has(pick, place) else None
+    if now.has(pick, place):
+        return f"The {pick} lies there already."
+    if place not in regions and _lacks_a_post(pick, place, now):
+        return (
+            f"The {pick} lies on two things, and nothing as high as the {place} stands "
+            "as far from it as the plank spans."
+        )
+    return None
+
+
+def _lacks_a_post(pick: str, place: str, now: SymbolicState) -> bool:
+    return kind_of(pick).span_m is not None and now.across(pick, place) is None
 
 
 def _why_not_hand(subtask: SubTask, now: SymbolicState) -> str | None:

@@ -1,5 +1,6 @@
 """State of the symbolic planner: poses of objects, and their supports."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 from lemma.core.poses import Pose2
@@ -13,8 +14,10 @@ TABLE = "table"
 _ON_M = 0.03
 """A thing lies on another when their middles are no farther apart, or as far as the
 other's kind allows."""
-LEVEL_M = 0.01
-"""A plank lies on a thing whose top is this near to its bottom, in height."""
+_LEVEL_M = 0.01
+"""Two things carry a plank if their tops are this near in height."""
+_SPAN_SLACK_M = 0.02
+"""How much farther apart, or nearer, than a plank spans its supports may be."""
 _LIFTED_M = 0.025
 """An object with its bottom higher than this lies on an object with its top higher than
 this, such as a pad or a cube; one with its bottom lower, on the table or a thin mat."""
@@ -75,6 +78,45 @@ class SymbolicState:
             if name in (support, self.seconds.get(cube)):
                 return cube
         return None
+
+    def across(self, item: str, place: str) -> tuple[Pose2, str, str] | None:
+        """Return where a plank lies across a thing and another one of its height.
+
+        Args:
+            item: The plank.
+            place: The thing.
+
+        Returns:
+            Its pose, and the two things by name; None where there is no other one
+            with nothing on it, as far from it as the plank spans.
+        """
+        span_m = kind_of(item).span_m
+        if span_m is None or place not in self.poses or not self._may_carry(place):
+            return None
+        place_m = self._top_m(place)
+        one, best_m, other = self.poses[place], _SPAN_SLACK_M, None
+        for name, pose in self.poses.items():
+            off_m = abs(one.distance(pose) - span_m)
+            level = abs(self._top_m(name) - place_m) < _LEVEL_M
+            if level and off_m < best_m and self._may_carry(name):
+                best_m, other = off_m, name
+        if other is None:
+            return None
+        first, second = sorted((place, other))
+        a, b = self.poses[first], self.poses[second]
+        yaw = math.atan2(b.y - a.y, b.x - a.x)
+        return Pose2(0.5 * (a.x + b.x), 0.5 * (a.y + b.y), yaw), first, second
+
+    def _may_carry(self, name: str) -> bool:
+        """Whether something can be put on an object, and nothing lies there."""
+        return kind_of(name).support_m is not None and self.on_top_of(name) is None
+
+    def _top_m(self, name: str) -> float:
+        """Return how high the top of an object is, by what it stands on [m]."""
+        height_m, below = kind_of(name).height_m, self.supports.get(name)
+        if below is None or below not in self.poses:
+            return height_m
+        return height_m + self._top_m(below)
 
     def is_prepared(self, primitive: Primitive, cube: str) -> bool:
         """Whether the stick lies ready to hook or to poke something."""
@@ -144,7 +186,7 @@ def _posts(
         for other, pose in poses.items():
             support = kind_of(other).support_m if other != name else None
             top = heights[other] + kind_of(other).top_m
-            if support is not None and abs(top - bottom) < LEVEL_M:
+            if support is not None and abs(top - bottom) < _LEVEL_M:
                 found |= {other} if rest.distance(pose) < max(_ON_M, support) else set()
     return tuple(sorted(found)) if len(found) == 2 else ()
 

@@ -276,8 +276,8 @@ def _stands_on_a_face(scene: Scene, name: str) -> bool:
 def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """Whether an object lies on another one, and nothing else touches it from anywhere.
 
-    Objects on the upper one may touch it from above, and one more may carry a plank.
-    No robot may touch either of them; a bottom that is fixed to the table may be
+    Objects on the upper one may touch it from above, and another one carries a plank
+    as well. No robot may touch either of them; a bottom that is fixed to the table may be
     touched.
 
     Args:
@@ -287,7 +287,7 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """
     model = scene.model
     lower, upper = (int(model.body(name).id) for name in (bottom, top))
-    carriers, most = set[int](), 1 if kind_of(top).span_m is None else 2
+    carriers, wanted = set[int](), 1 if kind_of(top).span_m is None else 2
     for first, second, rise in _touching(scene, (upper, lower)):
         entity = scene.entity_of_body(second)
         if first == lower:
@@ -295,11 +295,11 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
                 return False
         elif second == lower:
             carriers |= {second} if rise <= -_STEEP else set()
-        elif most > 1 and entity is not None and rise <= -_STEEP:
+        elif wanted > 1 and entity is not None and rise <= -_STEEP:
             carriers.add(second)
         elif entity is None or rise < _STEEP:
             return False
-    return lower in carriers and len(carriers) <= most
+    return lower in carriers and len(carriers) == wanted
 
 
 def _hangs_in_a_hand(scene: Scene, name: str) -> bool:
