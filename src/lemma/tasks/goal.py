@@ -277,8 +277,8 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """Whether an object lies on another one, and nothing else touches it from anywhere.
 
     Objects on the upper one may touch it from above, and another one carries a plank
-    as well. No robot may touch either of them; a bottom that is fixed to the table may be
-    touched.
+    as well. No robot may touch either of them; a bottom that is fixed to the table may
+    be touched.
 
     Args:
         scene: Where things are now.
