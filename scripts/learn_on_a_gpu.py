@@ -1,6 +1,6 @@
 """PPO learns to reach, to lift or to place on thousands of tables at once.
 
-python scripts/learn_on_a_gpu.py [TASK] [MINUTES] [WORLDS] [WEIGHTS.pt]
+python scripts/learn_on_a_gpu.py [TASK] [MINUTES] [WORLDS] [WEIGHTS.pt] [SEED]
 
 The robot that reaches the object acts; its hand points down and is moved step by step.
 The actor is saved, and played on the CPU by
@@ -33,8 +33,9 @@ succeed."""
 class Learner:
     """Plain PPO with a Gaussian policy."""
 
-    def __init__(self, env: GpuVecEnv) -> None:
-        """Make networks of actor and critic."""
+    def __init__(self, env: GpuVecEnv, seed: int = 0) -> None:
+        """Make networks of actor and critic; the seed is of both and of the tables."""
+        torch.manual_seed(seed)
         self.env, device = env, env.device
         self.actor, self.critic = network().to(device), network(out=1).to(device)
         with torch.no_grad():
@@ -45,7 +46,7 @@ class Learner:
             *self.actor.parameters(), *self.critic.parameters(), self.log_std
         ]  # fmt: skip
         self.optimizer = torch.optim.Adam(self.weights, RATE)
-        self.x, self.robot = self.seen(env.reset(seed=0)[0])
+        self.x, self.robot = self.seen(env.reset(seed=seed)[0])
 
     def seen(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return the features of the robots that can act, and their numbers, (n,)."""
@@ -113,16 +114,16 @@ class Learner:
 
 
 if __name__ == "__main__":
-    defaults = ("reach_varied", "3", "4096", "hand.pt")
+    defaults = ("reach_varied", "3", "4096", "hand.pt", "0")
     arguments = sys.argv[1:]
-    task, minutes, worlds, path = (*arguments, *defaults[len(arguments) :])
+    task, minutes, worlds, path, seed = (*arguments, *defaults[len(arguments) :])
     rung = task.split("_")[0]
     first = 0.0 if rung == "reach" else NEAR_AT_FIRST
     env = GpuVecEnv(
         task, int(worlds), reward="rise", horizon_s=HORIZON_S.get(rung, 12.0),
-        near=first, pool=min(512, 16 * int(worlds)),
+        near=first, pool=min(512, 16 * int(worlds)), seed=int(seed),
     )  # fmt: skip
-    learner = Learner(env)
+    learner = Learner(env, int(seed))
     start, rounds, steps, rate = time.perf_counter(), 0, 0, 0.0
     while (spent := time.perf_counter() - start) < 60.0 * float(minutes):
         batch, found, ended = learner.collect()

@@ -135,11 +135,21 @@ def test_an_evaluated_policy_of_the_registry_is_its_row() -> None:
 def test_seeds_count_once_and_share_their_data() -> None:
     with pytest.raises(DatasetError, match="seed 0"):
         entries_of([result(6), result(4)])
-    other = result(6, seed=1)
-    told = {"reachnet": {**other.about["weights"]["reachnet"], "data": {"digest": 1}}}
-    other = replace(other, about={**other.about, "weights": told})
-    with pytest.raises(DatasetError, match="other data"):
-        entries_of([result(6), other])
+
+    def trained(seed: int, **data: str) -> Result:
+        made = result(6, seed=seed)
+        weights = {"reachnet": {**made.about["weights"]["reachnet"], "data": data}}
+        return replace(made, about={**made.about, "weights": weights})
+
+    first = trained(0, digest="a", renderer="one card", episodes="e")
+    # The digest covers the card that rendered the images; that of episodes does not.
+    entries_of([first, trained(1, digest="b", renderer="another", episodes="e")])
+    for other in (
+        trained(1, digest="b", renderer="one card", episodes="e"),
+        trained(1, digest="b", renderer="another", episodes="f"),
+    ):
+        with pytest.raises(DatasetError, match="other data"):
+            entries_of([first, other])
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,8 @@ def test_recovery_states_are_never_validated_on(
     assert not any(judged)
     assert sum(trained) == len(trained) // 4 == 12
     assert report.passes == 1.2
-    assert set(report.data) == {"benchmark", "digest", "renderer", "recovery"}
+    kept = {"benchmark", "digest", "episodes", "renderer", "recovery"}
+    assert set(report.data) == kept
 
 
 def test_whole_episodes_are_mixed_in_for_models_that_want_them(

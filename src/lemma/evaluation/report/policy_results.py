@@ -272,7 +272,7 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
                 f"seed {seed}. Report one of them."
             )
     for result in ordered:
-        if _data_of(result) != _data_of(ordered[0]):
+        if not _same_data(result, ordered[0]):
             raise DatasetError(
                 f"{title_of(result)} was trained on other data with seed {result.seed} "
                 f"than with seed {ordered[0].seed}: their spread would say nothing. "
@@ -281,9 +281,21 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
     return tuple(ordered)
 
 
-def _data_of(result: Result) -> dict[str, str | None]:
-    """Return the digest of the data that each part of a policy was trained on."""
-    weights = result.about["weights"]
-    return {
-        name: entry.get("data", {}).get("digest") for name, entry in weights.items()
-    }
+def _same_data(one: Result, other: Result) -> bool:
+    """Return whether each part of a policy was trained on the same data.
+
+    The digest of data covers the graphics card that rendered the images. Where cards
+    differ, the digests of the episodes are compared, if both trainings recorded them.
+    """
+    weights, others = one.about["weights"], other.about["weights"]
+    if set(weights) != set(others):
+        return False
+    for name, entry in weights.items():
+        data, same = entry.get("data", {}), others[name].get("data", {})
+        key = "digest"
+        if data.get("renderer") != same.get("renderer"):
+            key = "episodes" if "episodes" in data and "episodes" in same else ""
+        if key and data.get(key) != same.get(key):
+            return False
+    return True
+

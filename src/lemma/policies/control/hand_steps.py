@@ -68,6 +68,11 @@ class Arms:
     branch: Tensor
     """Signs of shoulder, wrist and elbow in which they wait, (robots, 3)."""
 
+    @property
+    def parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """All of it, in the order of the arguments."""
+        return self.dh, self.radii, self.park, self.branch
+
     @classmethod
     def of(cls, names: Sequence[str], device: Any = "cpu") -> "Arms":
         """Return the numbers of arms by name."""
@@ -252,7 +257,7 @@ class Hand:
         """
         parts = np.asarray(seen["agent_pos"], np.float32).reshape(-1, 7)
         heights = hands_of(seen["tcp_pose"])[:, 2]
-        names = [_arm_of(row[:6], z) for row, z in zip(parts, heights, strict=True)]
+        names = [arm_of(row[:6], z) for row, z in zip(parts, heights, strict=True)]
         goal = torch.tensor(seen["goal_state"]).reshape(len(names), -1)
         self.robot = int(able(goal, Arms.of(names)))
         """Number of the robot."""
@@ -332,7 +337,7 @@ def hands_of(poses: Any) -> Tensor:
     return torch.tensor(found, dtype=torch.float32)
 
 
-def _arm_of(q: Any, height_m: Any) -> str:
+def arm_of(q: Any, height_m: Any) -> str:
     """Return the arm whose hand is so high at joint angles (6,) [rad]."""
 
     def error(name: str) -> float:

@@ -96,9 +96,11 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     }
     hashed = {"about": {**about, "versions": decisive}, "content": content}
     text = json.dumps(hashed, sort_keys=True)
+    episodes = json.dumps(content, sort_keys=True)
     return {
         "benchmark": BENCHMARK_VERSION,
         "digest": hashlib.sha256(text.encode()).hexdigest(),
+        "episodes": hashlib.sha256(episodes.encode()).hexdigest(),
         "renderer": about.get("renderer", ""),
     }
 

@@ -1,0 +1,272 @@
+"""A team of hands that take turns: a learned hand that places does it for all of them.
+
+The network of :class:`~lemma.policies.control.hand_steps.HandPolicy` moves one object
+to a place that the same robot reaches. Rules chain it to hand-overs, towers and relays:
+which robot acts next, where it puts an object that another one has to fetch, when its
+fingers open, and how it goes home. Like that policy, it is given the true goal state.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from lemma.env.signals.goal_state import NUMBERS
+from lemma.policies.control.hand_steps import (
+    Arms,
+    HandPolicy,
+    advance,
+    arm_of,
+    features,
+    hands_of,
+    joints,
+    openings,
+    pace,
+)
+from lemma.policies.control.interfaces import Actions, ControlInput
+
+_OBJECT, _PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
+_HOLDS = NUMBERS.index("holds")
+_OPEN, _RISE = ((0.0, 0.0, 0.0, 0.0, 1.0),), ((0.0, 0.0, 1.0, 0.0, 1.0),)
+_OPEN_STEPS, _RISE_STEPS, _PARK_STEPS, _ACT_STEPS = 3, 20, 60, 250
+"""Longest times of the phases [control steps]."""
+_RISEN_M = 0.25
+"""Height of a hand from which it goes home [m]."""
+_PARK_RAD, _PARKED_RAD = 0.12, 0.1
+"""Change of a joint in a step on the way home; largest angle left at its end."""
+_CARRY_M, _CARRY_BESIDE_M, _CARRY_SLOPE = 0.12, 0.04, 2.0
+"""Least height of a hand that carries, but near the place: it passes over objects."""
+_LEVEL_M, _ON_M, _AT_M, _HOVER_STEPS = 0.012, 0.01, 0.02, 3
+"""Fingers open when the object has been so near its height and its place, or a spot of
+the table, for so many steps."""
+_DROPPED_M = 0.03
+"""The network itself let go of it, so near the place."""
+_ABOVE_M = 0.01
+"""Height above its present rest at which an object is let go on a bare table."""
+_OTHER_M = 0.1
+"""Nothing moves so far in a step: another conjunct of the goal is the next one."""
+_CELL_M, _HALF_M = 0.02, 1.6
+"""Cells of the grid of spots, and half the side of the square that it covers."""
+_MARGIN_M, _NEAR_WEIGHT = 0.06, 0.02
+"""A spot is best so far inside of both reaches; then, on the shortest way."""
+
+_Phase = Literal["choose", "act", "open", "rise", "park"]
+Network = Callable[[Tensor], Tensor]
+
+
+class HandTeam:
+    """The hands of an episode: one acts, the others stand still where they wait."""
+
+    def __init__(self, seen: Mapping[str, Any]) -> None:
+        """Begin; nobody acts yet.
+
+        Args:
+            seen: An observation ``"goal_state"`` of the control level.
+        """
+        self._rows = np.asarray(seen["agent_pos"], np.float32).reshape(-1, 7).copy()
+        self._target = hands_of(seen["tcp_pose"])
+        heights = self._target[:, 2]
+        both = zip(self._rows, heights, strict=True)
+        self._arms = Arms.of([arm_of(row[:6], height) for row, height in both])
+        self._phase: _Phase = "choose"
+        self._steps = self._hovered = 0
+        self.robot = 0
+        """Number of the robot that acts."""
+        self.spot: Tensor | None = None
+        """Where it puts the object for another robot to fetch, (2,) [m]; or None."""
+        self._rest_m = 0.0
+        self._held = False
+        self._object: Tensor | None = None
+
+    def step(self, seen: Mapping[str, Any], network: Network) -> NDArray[np.float32]:
+        """Return joint positions and openings of all robots, (robots, 7).
+
+        Args:
+            seen: The observation.
+            network: From features (1, FEATURES) of the acting hand to its row (1, 5).
+        """
+        self._look(seen)
+        self._steps += 1
+        if self._phase == "choose":
+            self._choose()
+        k = self.robot
+        goal = self._goal[[k]].clone()
+        if self._phase == "act":
+            self._towards_spot(goal)
+            self._judge(goal)
+        if self._phase == "open" and self._steps > _OPEN_STEPS:
+            self._enter("rise")
+        risen = self._here[k, 2] > _RISEN_M or self._steps > _RISE_STEPS
+        if self._phase == "rise" and risen:
+            self._enter("park")
+        if self._phase == "park":
+            return self._go_home()
+        slow = torch.ones(1, 1)
+        row = torch.tensor(_OPEN if self._phase == "open" else _RISE)
+        if self._phase == "act":
+            slow = pace(goal)
+            asked = torch.from_numpy(self._rows[[k], 6])
+            parts = (self._target[[k]], self._here[[k]], self._base[[k]], asked)
+            row = network(features(goal, *parts))
+        return self._moved(row, slow, goal)
+
+    def _look(self, seen: Mapping[str, Any]) -> None:
+        """Take an observation; see whether the goal's object is another one now."""
+        self._here = hands_of(seen["tcp_pose"])
+        self._base = hands_of(seen["base_pose"])[:, [0, 1, 3]]
+        self._goal = torch.tensor(seen["goal_state"]).reshape(len(self._rows), -1)
+        joints_now = np.asarray(seen["agent_pos"], np.float32).reshape(-1, 7)
+        self._joints = torch.from_numpy(joints_now.copy())
+        away = self._here[:, :2] - self._base[:, :2]
+        self._ahead = away / torch.linalg.vector_norm(away, dim=1, keepdim=True)
+        first = self._goal[0]
+        at = self._here[0, :2] + self._world(first[_OBJECT : _OBJECT + 2])
+        self._place = at + self._world(first[_PLACE : _PLACE + 2])
+        before, self._object = self._object, at
+        if before is None or self._phase != "act":
+            return
+        if torch.linalg.vector_norm(at - before) > _OTHER_M:
+            self._enter("open")
+
+    def _world(self, way: Tensor) -> Tensor:
+        """Return a way, forward and left of the first hand, in the world, (2,)."""
+        x, y = self._ahead[0]
+        return torch.stack([x * way[0] - y * way[1], y * way[0] + x * way[1]])
+
+    def _enter(self, phase: _Phase) -> None:
+        self._phase, self._steps, self._hovered = phase, 0, 0
+
+    def _choose(self) -> None:
+        """Choose the robot that acts next, and a spot if another one has to go on."""
+        assert self._object is not None
+        has, puts = self.margins(self._object), self.margins(self._place)
+        direct = torch.minimum(has, puts)
+        self.spot = None
+        if direct.max() > 0.0:
+            self.robot = int(direct.argmax())
+        else:
+            self.robot = int(has.argmax())
+            self.spot = self._spot_towards(int(puts.argmax()))
+        k = self.robot
+        self._target = self._here.clone()
+        self._rows = self._rows.copy()
+        self._rows[k, 6] = self._joints[k, 6]
+        self._rest_m = self._height_m(self._goal[[k]])
+        self._held = False
+        self._enter("act")
+
+    def margins(self, points: Tensor) -> Tensor:
+        """Return how far inside of each robot's reach points are, (robots, ...) [m]."""
+        extra = (1,) * (points.dim() - 1)
+        base = self._base[:, :2].view(-1, *extra, 2)
+        far = torch.linalg.vector_norm(points - base, dim=-1)
+        inner, outer = (r.view(-1, *extra) for r in self._arms.radii.unbind(1))
+        return torch.minimum(far - inner, outer - far)
+
+    def _spot_towards(self, last: int) -> Tensor:
+        """Return where the acting robot puts the object, (2,) [m].
+
+        The next robot on the shortest chain to the last one reaches that spot, too.
+        """
+        assert self._object is not None
+        line = torch.arange(-_HALF_M, _HALF_M, _CELL_M)
+        grid = torch.cartesian_prod(line, line)
+        margins = self.margins(grid)
+        fetched = torch.linalg.vector_norm(grid - self._object, dim=1)
+        left = torch.linalg.vector_norm(grid - self._place, dim=1)
+        count = len(margins)
+        shared = torch.minimum(margins[:, None], margins[None])
+        widths = shared.amax(2)
+        chains: list[tuple[int, ...]] = [(self.robot,)]
+        while chains and chains[0][-1] != last:
+            chain = chains.pop(0)
+            rest = [k for k in range(count) if k not in chain]
+            chains += [(*chain, k) for k in rest if widths[chain[-1], k] > 0.0]
+        chain = chains[0] if chains else (self.robot, last)
+        here, after = next(pairwise(chain))
+        score = shared[here, after].clamp(max=_MARGIN_M) - _NEAR_WEIGHT * (
+            fetched + left
+        )
+        return grid[int(score.argmax())]
+
+    def _height_m(self, goal: Tensor) -> float:
+        """Return how high the object would be grasped now [m]."""
+        return float(self._here[self.robot, 2] + goal[0, _OBJECT + 2])
+
+    def _towards_spot(self, goal: Tensor) -> None:
+        """Set the place of the acting robot's goal state, (1, 13), to its spot."""
+        if self.spot is None:
+            return
+        assert self._object is not None
+        way, (x, y) = self.spot - self._object, self._ahead[self.robot]
+        goal[0, _PLACE] = x * way[0] + y * way[1]
+        goal[0, _PLACE + 1] = x * way[1] - y * way[0]
+        goal[0, _PLACE + 2] = self._rest_m + _ABOVE_M - self._height_m(goal)
+
+    def _judge(self, goal: Tensor) -> None:
+        """Let go of an object that is where it shall be; give up after a while."""
+        holds = bool(goal[0, _HOLDS] > 0.5)
+        beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
+        level = abs(float(goal[0, _PLACE + 2])) < _LEVEL_M
+        near = beside < (_ON_M if self.spot is None else _AT_M) and level
+        self._hovered = self._hovered + 1 if holds and near else 0
+        dropped = self._held and not holds and beside < _DROPPED_M and level
+        self._held |= holds
+        if dropped or self._hovered > _HOVER_STEPS or self._steps > _ACT_STEPS:
+            self._enter("open")
+
+    def _go_home(self) -> NDArray[np.float32]:
+        """Return rows that bring the acting robot nearer to where it waits."""
+        k, self._rows = self.robot, self._rows.copy()
+        park, now = self._arms.park[k], torch.from_numpy(self._rows[k, :6])
+        step = (park - now).clamp(-_PARK_RAD, _PARK_RAD)
+        self._rows[k, :6] = (now + step).numpy()
+        left = float((self._joints[k, :6] - park).abs().max())
+        if left < _PARKED_RAD or self._steps > _PARK_STEPS:
+            self._phase = "choose"
+        return self._rows
+
+    def _moved(self, row: Tensor, slow: Tensor, goal: Tensor) -> NDArray[np.float32]:
+        """Return rows in which the acting robot does one step."""
+        k = [self.robot]
+        one = Arms(*(part[k] for part in self._arms.parts))
+        base = self._base[k]
+        target = advance(self._target[k], row, self._here[k], base, one, slow)
+        if self._phase == "act" and goal[0, _HOLDS] > 0.5:
+            beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
+            least = _CARRY_SLOPE * (beside - _CARRY_BESIDE_M)
+            target[0, 2] = target[0, 2].clamp(min=min(max(least, 0.0), _CARRY_M))
+        self._rows = self._rows.copy()
+        near = torch.from_numpy(self._rows[k, :6])
+        self._rows[k, :6] = joints(target, base, one, near).numpy()
+        self._rows[k, 6] = openings(row, torch.from_numpy(self._rows[k, 6])).numpy()
+        self._target = self._target.clone()
+        self._target[k] = target
+        return self._rows
+
+
+class HandTeamPolicy(HandPolicy):
+    """Plays a hand that learned to place, for all robots in turns, on the CPU.
+
+    ``weights`` as of :class:`~lemma.policies.control.hand_steps.HandPolicy`. It plays
+    every task whose goal is to put cubes on things, without the stick, on teams of any
+    size. It does not read the sentence.
+    """
+
+    @torch.no_grad()
+    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
+        """Return the next action for each episode."""
+        return [self._step(control_input) for control_input in inputs]
+
+    def _step(self, control_input: ControlInput) -> Actions:
+        seen, memory = control_input.observation, control_input.memory
+        # A memory is never changed: an episode may be played on from it twice.
+        team = HandTeam(seen) if memory is None else copy(memory)
+        numbers = self._numbers
+        return Actions(team.step(seen, lambda x: self.actor(x[:, :numbers])), team)
