@@ -123,7 +123,7 @@ def test_a_region_is_no_part_of_a_goal() -> None:
 
 
 def test_a_goal_asks_for_something() -> None:
-    with pytest.raises(InvalidConfigError, match="asks for nothing"):
+    with pytest.raises(InvalidConfigError, match="needs at least one predicate"):
         Goal(())
 
 

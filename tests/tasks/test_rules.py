@@ -47,7 +47,7 @@ def beside(instance: Instance, name: str) -> Pose2:
     ("change", "says"),
     [
         (lambda: moved(STACK, TOP, Pose2(0.0, 0.0)), "Now the"),
-        (lambda: moved(STACK, TOP, Pose2(0.0, 1.9)), "does not lie on the table"),
+        (lambda: moved(STACK, TOP, Pose2(0.0, 1.9)), "completely on the table"),
         (lambda: moved(STACK, TOP, beside(STACK, BOTTOM)), "cm apart"),
         (lambda: moved(STACK, TOP, STACK.scene.robots[0].base), "base"),
         (lambda: moved(HOOK, "stick", Pose2(0.0, 0.0)), "All of the stick"),

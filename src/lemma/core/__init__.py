@@ -1,1 +1,1 @@
-"""Words that every layer shares: poses, randomness, registries, errors."""
+"""Common base of all layers: poses, random streams, registries, errors."""

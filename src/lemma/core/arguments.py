@@ -1,4 +1,4 @@
-"""Checks of numbers, names and dataclasses that callers pass."""
+"""Checks of arguments: numbers, names and dataclasses."""
 
 import contextlib
 import math
@@ -28,25 +28,25 @@ from lemma.core.errors import InvalidConfigError, LemmaError, UnknownNameError, 
 T = TypeVar("T")
 
 Width = Annotated[int, msgspec.Meta(ge=1, le=4096)]
-"""Channels of a map, or values of a token."""
+"""Number of channels of a map, or of components of a token."""
 Widths = Annotated[tuple[Width, ...], msgspec.Meta(min_length=1, max_length=8)]
-"""Channels of each level of a network."""
+"""Number of channels of each level of a network."""
 Depth = Annotated[int, msgspec.Meta(ge=1, le=64)]
-"""Layers, blocks or heads."""
+"""Number of layers, blocks or heads."""
 Count = Annotated[int, msgspec.Meta(ge=1, le=1024)]
-"""A number of things that are not built of weights."""
+"""A number of items without weights."""
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
-"""Part of a whole, less than all of it."""
+"""A fraction in [0, 1)."""
 Deviation = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 """Standard deviation of noise."""
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]
-"""Size of something on the table [m]."""
+"""Size of an object on the table [m]."""
 Height = Annotated[float, msgspec.Meta(ge=-10.0, le=10.0)]
-"""Above the table top [m]."""
+"""Height above the table top [m]."""
 Cost = Annotated[float, msgspec.Meta(ge=0.0, le=1e3)]
-"""Loss of log-probability."""
+"""Penalty on log-probabilities."""
 Temperature = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
-"""Divides log-probabilities."""
+"""Divisor of log-probabilities."""
 Extent = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 """Extent of a part of the table [m]."""
 
@@ -54,22 +54,22 @@ Extent = Annotated[float, msgspec.Meta(gt=0.0, le=10.0)]
 def whole(
     name: str, value: object, low: int | None = None, high: int | None = None
 ) -> int:
-    """Return a whole number within bounds.
+    """Return a value as an integer within bounds.
 
     Args:
         name: Name of the argument, for the message.
-        value: Value of the argument; NumPy's integers are fine, truth values are not.
-        low: Smallest that is valid.
-        high: Largest that is valid.
+        value: Value of the argument; NumPy's integers are valid, booleans are not.
+        low: Smallest valid value.
+        high: Largest valid value.
 
     Raises:
-        InvalidConfigError: It is none.
+        InvalidConfigError: The value is no integer, or out of bounds.
     """
     is_index = isinstance(value, SupportsIndex) and not isinstance(value, bool)
     try:
         number = operator.index(value) if is_index else None  # type: ignore[arg-type]
     except TypeError:
-        # Arrays look like indices and are none, but for a single whole number.
+        # Arrays have ``__index__``, but only those with a single integer are valid.
         number = None
     if number is None or not _within(number, low, high):
         raise InvalidConfigError(
@@ -82,16 +82,16 @@ def whole(
 def real(
     name: str, value: object, low: float | None = None, high: float | None = None
 ) -> float:
-    """Return a finite number within bounds.
+    """Return a value as a finite float within bounds.
 
     Args:
         name: Name of the argument, for the message.
-        value: Value of the argument; NumPy's numbers are fine, truth values are not.
-        low: Smallest that is valid.
-        high: Largest that is valid.
+        value: Value of the argument; NumPy's numbers are valid, booleans are not.
+        low: Smallest valid value.
+        high: Largest valid value.
 
     Raises:
-        InvalidConfigError: It is none.
+        InvalidConfigError: The value is no finite number, or out of bounds.
     """
     number = math.nan
     if isinstance(value, Real) and not isinstance(value, bool):
@@ -106,14 +106,14 @@ def real(
 
 
 def flag(name: str, value: object) -> bool:
-    """Return a truth value.
+    """Return a value as a boolean.
 
     Args:
         name: Name of the argument, for the message.
-        value: Value of the argument; NumPy's truth values are fine, numbers are not.
+        value: Value of the argument; NumPy's booleans are valid, numbers are not.
 
     Raises:
-        InvalidConfigError: It is none.
+        InvalidConfigError: The value is no boolean.
     """
     if not isinstance(value, bool | np.bool_):
         raise InvalidConfigError(
@@ -123,15 +123,15 @@ def flag(name: str, value: object) -> bool:
 
 
 def known(kind: str, name: object, valid: Iterable[str]) -> str:
-    """Return a name that is one of the valid ones.
+    """Return a name after checking that it is valid.
 
     Args:
-        kind: Noun for the kind of thing that is named, for the message.
-        name: Name to check.
-        valid: Every name that exists.
+        kind: Noun for what the name denotes, for the message.
+        name: The name to check.
+        valid: All valid names.
 
     Raises:
-        UnknownNameError: There is no such name.
+        UnknownNameError: The name is not valid.
     """
     names = tuple(valid)
     if not isinstance(name, str) or name not in names:
@@ -140,13 +140,16 @@ def known(kind: str, name: object, valid: Iterable[str]) -> str:
 
 
 def secret_of(variable: str) -> str:
-    """Return the secret in an environment variable, ready for a header of HTTP.
+    """Return the secret in an environment variable, for an HTTP header.
 
     Args:
-        variable: Its name; the secret is empty where there is none.
+        variable: Name of the variable.
+
+    Returns:
+        The secret; empty if the variable is not set.
 
     Raises:
-        InvalidConfigError: It cannot be sent.
+        InvalidConfigError: The secret contains characters that a header cannot have.
     """
     secret = os.environ.get(variable, "").strip(" \t\r\n\ufeff")
     if not (secret.isascii() and secret.isprintable()):
@@ -159,25 +162,25 @@ def secret_of(variable: str) -> str:
 
 
 def check_address_has_no_secret(url: str, whose: str, advice: str) -> None:
-    """Check that an address has no user's name, query, fragment or parameters.
+    """Check that an address has no user name, query, fragment or parameters.
 
     Args:
         url: The address; the message does not show it.
         whose: Owner of the address, such as ``"a chat server"``.
-        advice: A sentence that says where the secret belongs.
+        advice: A sentence on the right place of the secret.
 
     Raises:
-        InvalidConfigError: It has one of them.
+        InvalidConfigError: The address has one of them.
     """
     if any(mark in url for mark in "@?#;"):
         raise InvalidConfigError(
             f"The address of {whose} holds no password and no key, since results name "
-            f"it: leave out what stands with @, ?, # or a semicolon. {advice}"
+            f"it: remove the parts with @, ?, # or a semicolon. {advice}"
         )
 
 
 def without_passwords(text: str) -> str:
-    """Return a text in which no address has a user's name and a password."""
+    """Return a text with user names and passwords removed from addresses."""
     return re.sub(r"\S+@(?=\S)", "***@", text)
 
 
@@ -196,19 +199,19 @@ def _said(bound: float) -> str:
 
 
 def decode(kind: type[T], data: Any) -> T:
-    """Return a dataclass from plain data, such as JSON.
+    """Create a dataclass from plain data, such as JSON.
 
-    Types are strict: a text that reads like a number is no number. Ranges are those of
-    the fields' annotations.
+    Types are strict: the text ``"1"`` is no number. Ranges are those of the fields'
+    annotations.
 
     Args:
         kind: The dataclass; its fields may be dataclasses, too.
-        data: A mapping with some of its fields.
+        data: A mapping with values of its fields.
 
     Raises:
         UnknownNameError: There is no field of that name.
-        InvalidConfigError: A value is of another type or out of its range, or one that
-            has no default is missing.
+        InvalidConfigError: A value has a wrong type or is out of range, or a field
+            without default is missing.
     """
     _check_names(kind, data)
     try:
@@ -225,10 +228,10 @@ def check_ranges(config: Any) -> None:
     """Check the fields of a dataclass by their annotations, as :func:`decode` does.
 
     Args:
-        config: A dataclass, made by its constructor.
+        config: The dataclass instance.
 
     Raises:
-        InvalidConfigError: A value is of another type or out of its range.
+        InvalidConfigError: A value has a wrong type or is out of range.
     """
     hints = get_type_hints(type(config), include_extras=True)
     for field in fields(config):
@@ -249,14 +252,14 @@ def check_ranges(config: Any) -> None:
 
 
 def _choices(hint: Any) -> tuple[Any, ...]:
-    """Return the values of a ``Literal`` in a type; none if it has none."""
+    """Return the values of all ``Literal`` parts of a type."""
     if get_origin(hint) is Literal:
         return get_args(hint)
     return tuple(choice for part in get_args(hint) for choice in _choices(part))
 
 
 def _check_names(kind: Any, data: Any) -> None:
-    """Check names, which msgspec passes over in what it makes dataclasses from.
+    """Check names of fields; msgspec ignores unknown ones.
 
     Raises:
         UnknownNameError: There is no field of that name.
@@ -275,6 +278,6 @@ def _name(kind: Any) -> str:
 
 
 def _path(kind: type[Any], value: Any) -> Any:
-    """Return a path from its text; nothing else is unknown to msgspec."""
+    """Return a path from its text; all other types are known to msgspec."""
     assert kind is Path
     return Path(value)

@@ -1,9 +1,9 @@
-"""MuJoCo, whatever ``MUJOCO_GL`` says: ``from lemma.core.engine import mujoco``.
+"""MuJoCo, independent of ``MUJOCO_GL``: ``from lemma.core.engine import mujoco``.
 
-MuJoCo loads the OpenGL library that ``MUJOCO_GL`` names while it is imported, and
-cannot be imported where there is no such library. Physics needs none, so then it is
-imported without; who asks for a picture is told what is wrong, by
-:func:`lemma.scene.rendering.gl_backend.choose_backend`.
+During its import MuJoCo loads the OpenGL library that ``MUJOCO_GL`` names, and the
+import fails if there is none. Physics does not need it, so MuJoCo is then imported
+without OpenGL. :func:`lemma.scene.rendering.gl_backend.choose_backend` reports the
+problem when an image is to be rendered.
 """
 
 import os
@@ -14,7 +14,7 @@ _before = {name: os.environ.get(name) for name in _VARIABLES}
 try:
     import mujoco
 except (AttributeError, ImportError, OSError, RuntimeError):
-    # PyOpenGL raises an AttributeError for a library that is not there.
+    # PyOpenGL raises an AttributeError if the library is missing.
     os.environ["MUJOCO_GL"] = "disable"
     try:
         import mujoco

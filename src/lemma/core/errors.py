@@ -1,6 +1,6 @@
-"""The exceptions that this package raises on purpose.
+"""The exceptions of this package.
 
-Each message says what was wrong, what is valid and what to try.
+Each message has the invalid value, the valid values and a suggestion.
 """
 
 import difflib
@@ -15,25 +15,25 @@ _REPR.maxlevel = 3
 
 
 def shown(value: object) -> str:
-    """Return any value as a message shows it: short, however large or deep it is."""
+    """Return a short text of any value for messages, even if it is large or deep."""
     text = _REPR.repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 class LemmaError(Exception):
-    """Base of every error raised on purpose by this package."""
+    """Base class of all errors of this package."""
 
 
 class UnknownNameError(LemmaError, ValueError):
-    """A name that is not in a registry: a task, a robot, a color, a camera."""
+    """An unknown name, such as that of a task, a robot, a color or a camera."""
 
     def __init__(self, kind: str, name: object, valid: Iterable[str]) -> None:
         """Build the message from the valid names.
 
         Args:
-            kind: Noun for the kind of thing that was looked up: ``"task"``.
-            name: The name that was not found.
-            valid: Every name that would have been accepted.
+            kind: Noun for what the name denotes, such as ``"task"``.
+            name: The unknown name.
+            valid: All valid names.
         """
         names = list(valid)
         close = difflib.get_close_matches(str(name), names, n=1)
@@ -43,7 +43,7 @@ class UnknownNameError(LemmaError, ValueError):
         self._looked_up = (kind, name, names)
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, object, list[str]]]:
-        """Return how another process builds it again: its message is no argument."""
+        """Support pickling: the arguments of ``__init__`` are not the message."""
         return type(self), self._looked_up
 
 
@@ -72,7 +72,7 @@ class ResetNeededError(LemmaError, RuntimeError):
 
 
 class PhysicsError(LemmaError, RuntimeError):
-    """The simulation became unstable; its state means nothing any more."""
+    """The simulation became unstable; its state is invalid."""
 
 
 class DatasetError(LemmaError, RuntimeError):
@@ -80,11 +80,11 @@ class DatasetError(LemmaError, RuntimeError):
 
 
 class WorkerError(LemmaError, RuntimeError):
-    """Processes or machines that work keep dying, or cannot be had."""
+    """Worker processes or machines end repeatedly, or cannot be started."""
 
 
 class CapacityError(LemmaError, RuntimeError):
-    """There is no room for what a scene needs: a defect of this package."""
+    """A buffer is too small for a scene: a defect of this package."""
 
 
 class WeightsError(LemmaError, RuntimeError):

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, JSON, checksums, and who may write."""
+"""Atomic writing of files, JSON, checksums, and locks of folders."""
 
 import errno
 import hashlib
@@ -19,11 +19,11 @@ _LOCK = ".lock"
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file so that it is whole or not there, whenever the power fails.
+    """Write a file atomically: after a crash it is complete or absent.
 
     Args:
         path: The file.
-        write: Writes it, at the path that it is given.
+        write: Writes the content to the path that it gets.
 
     Raises:
         DatasetError: The disk is full, or the folder cannot be written to.
@@ -38,13 +38,13 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     except OSError as error:
         raise DatasetError(_explain(path, error)) from error
     finally:
-        # Only what went wrong leaves a draft, and then its folder may be gone too.
+        # After an error the draft remains, unless its folder is gone too.
         with suppress(OSError):
             draft.unlink()
 
 
 def clear_drafts(folder: Path) -> None:
-    """Remove what writers left behind that were killed."""
+    """Remove the drafts of killed writers."""
     for draft in folder.rglob(f".*{_DRAFT}"):
         with suppress(OSError):
             draft.unlink()
@@ -52,18 +52,18 @@ def clear_drafts(folder: Path) -> None:
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Hold a folder, which is made if it is missing, so that nobody else writes to it.
+    """Lock a folder for writing; create it if it is missing.
 
-    An empty file ``.lock`` stays behind. The system lets go of it when this process
-    ends, however it ends. Drafts that killed writers left are removed.
+    An empty file ``.lock`` remains. The system releases the lock when this process
+    ends, also after a crash. Drafts of killed writers are removed.
 
     Raises:
-        DatasetError: Somebody holds it, or it cannot be made.
+        DatasetError: Another process has the lock, or the folder cannot be created.
     """
     lock = FileLock(folder / _LOCK, timeout=0)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # On a network file system without locks nobody watches.
+        # Some network file systems have no locks: go on without one.
         with suppress(NotImplementedError):
             lock.acquire()
     except Timeout as error:
@@ -83,10 +83,10 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Give a folder that is removed at the end.
+    """Yield a temporary folder, which is removed at the end.
 
     Raises:
-        DatasetError: There is no room for one.
+        DatasetError: The folder cannot be created.
     """
     try:
         folder = TemporaryDirectory(ignore_cleanup_errors=True)
@@ -120,11 +120,11 @@ def _explain(path: Path, error: OSError) -> str:
 
 
 def damaged(path: Path, error: Exception, command: str) -> str:
-    """Return what to say about a file that cannot be read.
+    """Return a message about a file that cannot be read.
 
     Args:
         path: The file.
-        error: Why.
+        error: The reason.
         command: Command that writes it, such as ``"lemma generate"``.
     """
     return (
@@ -137,14 +137,14 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object.
 
     Raises:
-        DatasetError: It is missing, damaged, nested too deep, or no object.
+        DatasetError: The file is missing, damaged, nested too deeply, or no object.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
         raise DatasetError(
-            f"{path} is missing: nothing was written there, or not to the end. Run the "
-            "command again that writes it, such as 'lemma generate' for a recipe."
+            f"{path} is missing: the command that writes it did not run, or did not "
+            "finish. Run it again, such as 'lemma generate' for a recipe."
         ) from error
     except (OSError, ValueError) as error:
         raise DatasetError(_unreadable(path, error)) from error
@@ -152,18 +152,18 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def parse_json(text: str | bytes, path: Path) -> dict[str, Any]:
-    """Return the JSON object that a file is or contains.
+    """Parse a JSON object.
 
     Args:
         text: The JSON.
-        path: Where it comes from.
+        path: File that contains it, for error messages.
 
     Raises:
-        DatasetError: It is damaged, nested too deep, or no object.
+        DatasetError: The text is damaged, nested too deeply, or no object.
     """
     try:
         data = json.loads(text)
-    # A thousand brackets are no data of ours, and overflow the parser.
+    # Deeply nested brackets raise a RecursionError in the parser.
     except (ValueError, RecursionError) as error:
         raise DatasetError(_unreadable(path, error)) from error
     if not isinstance(data, dict):
@@ -179,18 +179,26 @@ def _unreadable(path: Path, why: object) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file."""
+    """Return the SHA-256 of a file in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_json(path: Path, data: dict[str, Any]) -> None:
-    """Write JSON, the same bytes for the same data."""
+    """Write JSON atomically; equal data give equal bytes.
+
+    Raises:
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
     write_text(path, json.dumps(data, indent=1, sort_keys=True) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file atomically.
+
+    Raises:
+        DatasetError: The disk is full, or the folder cannot be written to.
+    """
 
     def write(draft: Path) -> None:
         draft.write_text(text, encoding="utf-8")

@@ -1,11 +1,11 @@
-"""Kernels: plain loops that Numba compiles once and keeps for the next start.
+"""Kernels: plain loops that Numba compiles once and caches on disk.
 
-Numba keeps compiled code until the file that holds it changes. Kernels take in kernels
-and constants of other files, though: after a change of one of those, the kept code
-would go on computing the old numbers. So kept code belongs to every source that
-can go into a kernel.
+Numba's own cache is valid until the kernel's file changes. But kernels also use kernels
+and constants of other files; after a change there, the cached code would be outdated.
+So the cache of this module depends on all sources that can be part of a kernel.
 
-Processes that start together compile each kernel once, and one of them says so.
+If several processes start at once, each kernel is compiled once, and one process prints
+a message.
 """
 
 import contextlib
@@ -29,19 +29,18 @@ from numba.extending import intrinsic
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 SOURCES = ("core", "robots", "scene", "motion", "env/control")
-"""Folders of the package that kernels may take kernels and constants from, beside the
-file that they are in."""
+"""Folders of the package whose kernels and constants other files may use in kernels."""
 
 NOTICE = (
     "Compiling the numerical kernels for this machine, about half a minute. This "
     "happens once after each installation or update.\n"
 )
-"""Goes to the error stream before the first compilation."""
+"""Message to the error stream before the first compilation."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _TEMPORARY = ("/tmp", "/var/tmp", "/usr/tmp")
 _PATIENCE_S = 120.0
-"""How long to wait for another process that compiles; all kernels take a quarter."""
+"""Longest wait for another process that compiles; all kernels take a quarter of it."""
 
 
 @overload
@@ -53,15 +52,14 @@ def kernel(*, nogil: bool) -> Callable[[Function], Function]: ...
 
 
 def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
-    """Compile a function at its first call, and keep the code for the next start.
+    """Compile a function at its first call, and cache the code on disk.
 
-    Only plain loops over scalars and arrays give the same bits on every machine: no
-    BLAS, no NumPy functions that are vectorised by processor.
+    Use plain loops over scalars and arrays, which give the same bits on every machine.
+    Results of BLAS and of vectorised NumPy functions differ between CPUs.
 
     Args:
         function: Function to compile; it may call other kernels.
-        nogil: Whether other threads may run meanwhile; for functions that take
-            milliseconds.
+        nogil: Whether to release the GIL; for functions that take milliseconds.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -70,7 +68,7 @@ def kernel(function: Any = None, /, *, nogil: bool = False) -> Any:
         try:
             kept = _KernelCache(function)
         except RuntimeError:
-            # No folder can be written to: every start compiles. `lemma doctor` says so.
+            # No folder is writable, so every start compiles; `lemma doctor` reports it.
             kept = _NoCache()
         dispatcher._cache = kept
         return dispatcher
@@ -88,44 +86,45 @@ def _borrow(_: Any, array: Any) -> Any:
 
 
 borrowed: Any = intrinsic(_borrow)
-"""In a kernel, takes an array and returns it without a count of references.
+"""In a kernel, returns an array without reference counting.
 
-Numba counts references for every view with atomic instructions, which take longer than
-most of what kernels do with a view. The caller of the kernel keeps the array alive.
+Numba counts references to every view with atomic instructions, which take longer than
+most operations of kernels on a view. The caller of the kernel must keep the array
+alive.
 """
 
 
 def cache_folder(function: Callable[..., Any]) -> str | None:
-    """Return where the code of a kernel is kept, or None if it is not."""
+    """Return the folder of a kernel's cached code, or None if it is not cached."""
     path: str | None = function.stats.cache_path  # type: ignore[attr-defined]
     return path
 
 
 class _KernelCache(FunctionCache):
-    """Kept code of one kernel: a file for every signature, and an index."""
+    """Cached code of one kernel: a file for every signature, and an index."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         tag = sys.implementation.cache_tag
-        # Without a line number: code that was moved is overwritten, not left behind.
+        # No line number, so that moved code replaces its old file.
         name = f"{function.__module__}.{function.__qualname__}.{tag}"
         stamp = source_stamp(inspect.getfile(function))
         self._cache_file = IndexDataCacheFile(self.cache_path, name, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return kept code, or None: then Numba compiles, and calls save_overload."""
+        """Return cached code, or None; then Numba compiles and calls save_overload."""
         found = super().load_overload(sig, target_context)
         if found is None and _acquire():
             found = super().load_overload(sig, target_context)
             if found is not None:
                 _release()
-        # A kernel that is known for other types takes a second, not worth a word.
+        # Compilation for further types takes a second and needs no message.
         if found is None and not self._cache_file._load_index():
             _announce()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep code."""
+        """Store compiled code, and release the lock."""
         try:
             super().save_overload(sig, data)
         finally:
@@ -133,16 +132,16 @@ class _KernelCache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """Keeps nothing."""
+    """A cache without storage."""
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Say that something is going to be compiled."""
+        """Print the message about compilation."""
         _announce()
 
 
 @cache
 def source_stamp(path: str) -> str:
-    """Return a hash of all that the kernels of a file may be made of."""
+    """Return a hash of all sources that the kernels of a file may use."""
     digest = hashlib.sha256(_shared_sources())
     digest.update(Path(path).read_bytes())
     return digest.hexdigest()
@@ -161,10 +160,10 @@ def _shared_sources() -> bytes:
 
 @cache
 def _lock() -> FileLock | None:
-    """Return the lock of the processes that compile this package's kernels here.
+    """Return the lock of all processes that compile this package's kernels.
 
-    None where there is no folder for temporary files: Python then takes the current
-    folder, where a user does not expect files of ours.
+    It is None without a folder for temporary files: Python would then use the current
+    folder, where a user does not expect such files.
     """
     named = {os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP")}
     try:
@@ -180,7 +179,7 @@ def _lock() -> FileLock | None:
 
 def _acquire() -> bool:
     lock = _lock()
-    # Without a lock, two processes may compile the same: slow, and harmless.
+    # Without a lock, two processes may compile the same code, which is only slow.
     with contextlib.suppress(Timeout, OSError, NotImplementedError):
         if lock is not None:
             lock.acquire(timeout=_PATIENCE_S)
@@ -196,7 +195,7 @@ def _release() -> None:
 
 @cache
 def _announce() -> None:
-    """Print what takes so long, unless another process has just printed it."""
+    """Print the message about compilation, unless another process just printed it."""
     lock = _lock()
     if lock is not None:
         said = Path(lock.lock_file).with_suffix(".said")

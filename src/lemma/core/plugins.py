@@ -1,7 +1,7 @@
-"""Plugins: modules of users that register tasks, arms, primitives and other things.
+"""Plugins: modules of users that register tasks, arms, primitives and other records.
 
-A plugin adds records to registries when it is imported. Its name travels in the
-environment, so that worker processes import it as well.
+A plugin adds records to registries when it is imported. An environment variable passes
+its name to worker processes, which import it as well.
 """
 
 import json
@@ -22,27 +22,28 @@ from types import ModuleType
 from lemma.core.errors import PluginError
 
 ENVIRONMENT = "LEMMA_PLUGINS"
-"""Environment variable that names plugins, separated by commas or as a JSON list."""
+"""Environment variable with names of plugins, separated by commas or as a JSON list."""
 GROUP = "lemma.plugins"
-"""Entry points of installed distributions whose value is a plugin's module."""
+"""Group of entry points of installed distributions; each value is a plugin's module."""
 
 _loaded: dict[str, ModuleType] = {}
 
 
 def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
-    """Import plugins, each once: installed ones, those of the environment, and others.
+    """Import plugins once: installed ones, those of the environment, and named ones.
 
-    Processes that are started from now on find all of them in the environment.
+    The environment variable then names all of them, for processes that start later.
 
     Args:
-        names: Modules that can be imported from here, such as ``"my_package.tasks"``,
-            or files, such as ``"my_task.py"``.
+        names: Importable modules, such as ``"my_package.tasks"``, or files, such as
+            ``"my_task.py"``.
 
     Returns:
-        The plugins that are loaded: modules by name, files by absolute path.
+        All loaded plugins: modules by name, files by absolute path.
 
     Raises:
-        PluginError: One cannot be imported; the message says which one and why.
+        PluginError: A plugin cannot be imported; the message has its name and the
+            reason.
     """
     for entry in _installed():
         _load(entry.value, entry.load, f"{entry.value} of {_owner(entry.dist)}")
@@ -59,9 +60,9 @@ def load_plugins(names: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def plugin_words() -> list[str]:
-    """Return the words of a command that load the same plugins, files by their name.
+    """Return the command-line arguments that load the same plugins, files by name.
 
-    Installed plugins are loaded without a word.
+    Installed plugins need no argument.
     """
     installed = {entry.value for entry in _installed()}
     names = [name for name in _loaded if name not in installed]
@@ -78,7 +79,7 @@ def _installed() -> tuple[EntryPoint, ...]:
 
 
 def split_names(listed: str) -> list[str]:
-    """Return the names in a list.
+    """Split a list of names.
 
     Args:
         listed: Names separated by commas, a JSON list, or the path of one file.
@@ -97,7 +98,7 @@ def _owner(distribution: object) -> str:
 
 
 def _load(key: str, load: Callable[[], ModuleType], name: str) -> None:
-    """Import a plugin, unless it is there already.
+    """Import a plugin, unless it is loaded already.
 
     Raises:
         PluginError: It cannot be imported.
@@ -106,7 +107,7 @@ def _load(key: str, load: Callable[[], ModuleType], name: str) -> None:
         return
     try:
         _loaded[key] = load()
-    # A user's module may raise anything: the message says which module and where.
+    # A user's module may raise any exception.
     except (Exception, SystemExit) as error:
         raise PluginError(
             f"The plugin {name} cannot be loaded: {_why(error)}"
@@ -114,14 +115,14 @@ def _load(key: str, load: Callable[[], ModuleType], name: str) -> None:
 
 
 def import_from_here(name: str) -> ModuleType:
-    """Return a module of an installed package or of the current folder.
+    """Import a module of an installed package or of the current folder.
 
     Raises:
-        ImportError: There is none of that name.
+        ImportError: There is no module of that name.
     """
     here = os.getcwd()
     if here not in sys.path:
-        # An installed command does not look into the folder that it is called from.
+        # For an installed command, sys.path does not contain the current folder.
         sys.path.append(here)
     return import_module(name)
 
@@ -155,7 +156,7 @@ def _import_file(path: Path) -> ModuleType:
 
 
 def _why(error: BaseException) -> str:
-    """Return what went wrong in a plugin, and in which line of it."""
+    """Return the reason of a plugin's failure, with its line."""
     frames = traceback.extract_tb(error.__traceback__)
     inside = [f for f in frames if "importlib" not in f.filename and f.name != "_load"]
     where = [f for f in inside if Path(f.filename) != Path(__file__)]

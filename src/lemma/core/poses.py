@@ -1,7 +1,8 @@
 """Poses in the plane and in space.
 
-Scalars go through :mod:`math`, not NumPy ufuncs: NumPy picks SIMD kernels by CPU, and
-their last bits differ, while everything that reaches the simulation must not.
+Scalar functions are those of :mod:`math`, not NumPy ufuncs: NumPy selects SIMD kernels
+by CPU, whose results differ in the last bits. Inputs of the simulation must be equal on
+all machines.
 """
 
 import math
@@ -22,9 +23,9 @@ class Pose2:
     """A pose on the table, in SE(2), world frame."""
 
     x: float
-    """Position along the line from the first robot to the second [m]."""
+    """Position along x [m]; in a pair, x points from the first robot to the second."""
     y: float
-    """Position to the left of that line, seen from the first robot [m]."""
+    """Position along y [m], to the left of x."""
     yaw: float = 0.0
     """Counter-clockwise rotation about the vertical [rad]."""
 
@@ -50,7 +51,7 @@ class Pose2:
         )
 
     def matrix(self) -> FloatArray:
-        """Return the homogeneous transform in space, on the table, shape (4, 4)."""
+        """Return the homogeneous transform at z = 0, shape (4, 4) [m]."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         return np.array(
             [
@@ -66,7 +67,7 @@ class Pose2:
         return math.hypot(self.x - other.x, self.y - other.y)
 
     def rounded(self, decimals: int = 4) -> "Pose2":
-        """Return the pose with every number rounded (0.1 mm and 0.1 mrad)."""
+        """Return the pose with rounded numbers; by default to 0.1 mm and 0.1 mrad."""
         return Pose2(
             round(self.x, decimals), round(self.y, decimals), round(self.yaw, decimals)
         )
@@ -83,16 +84,16 @@ class Pose:
 
     @classmethod
     def from_matrix(cls, matrix: FloatArray) -> Self:
-        """Make a pose from a homogeneous transform.
+        """Create a pose from a homogeneous transform.
 
         Args:
-            matrix: Homogeneous transform, shape (4, 4).
+            matrix: Homogeneous transform, shape (4, 4) [m].
         """
         x, y, z = (float(v) for v in matrix[:3, 3])
         return cls((x, y, z), quaternion_from_matrix(matrix[:3, :3]))
 
     def matrix(self) -> FloatArray:
-        """Return the homogeneous transform, shape (4, 4)."""
+        """Return the homogeneous transform, shape (4, 4) [m]."""
         result = np.eye(4)
         result[:3, :3] = matrix_from_quaternion(self.quaternion)
         result[:3, 3] = self.position
@@ -100,9 +101,9 @@ class Pose:
 
 
 def wrap(angle: float) -> float:
-    """Return the angle [rad] in [-pi, pi)."""
+    """Return the equivalent angle in [-pi, pi) [rad]."""
     wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    # Just below -pi the remainder rounds up to the whole turn.
+    # Just below -pi, the remainder is rounded to 2 pi.
     return wrapped if wrapped < math.pi else -math.pi
 
 
@@ -125,7 +126,7 @@ def quaternion_from_matrix(
 ) -> tuple[float, float, float, float]:
     """Return the unit quaternion ``wxyz`` (w >= 0) of a rotation matrix (3, 3)."""
     r = [[float(v) for v in row] for row in rotation]
-    # The largest of the four squared components divides safely.
+    # Divide by the largest of the four components, which is never close to zero.
     squares = (
         1 + r[0][0] + r[1][1] + r[2][2],
         1 + r[0][0] - r[1][1] - r[2][2],

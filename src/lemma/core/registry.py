@@ -1,7 +1,7 @@
-"""Named records that tasks, arms, kinds and policies are looked up in.
+"""Registries: named records of tasks, arms, kinds of objects and policies.
 
-A record is checked when it is added: its name, its type, the types of its fields if it
-is a dataclass, and what its registry asks for besides.
+Adding a record checks its name, its type, the types of its fields if it is a dataclass,
+and further conditions of the registry.
 """
 
 import re
@@ -18,7 +18,8 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 
 T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-"""Names stand in command lines, in lists with commas and in file names."""
+"""Pattern of names that are valid in commands, in lists with commas and in file names.
+"""
 
 
 class Registry(Generic[T]):
@@ -36,8 +37,8 @@ class Registry(Generic[T]):
             kind: Noun for the records, for error messages.
             record_type: Type of the records, as in an annotation: a class, or
                 ``Callable[[int, int], Renderer]``.
-            on_add: Called with every name and record before it is kept; an exception
-                refuses the record.
+            on_add: Called with each name and record before the record is stored; an
+                exception prevents that.
         """
         self._kind = kind
         self._type = record_type
@@ -50,18 +51,18 @@ class Registry(Generic[T]):
     ) -> T:
         """Add a record and return it.
 
-        A module may add a name of its own again, as when a notebook's cell is run
-        twice: the record is replaced in its place, with a warning.
+        If a module adds the same name again, as when a notebook's cell is run twice,
+        the new record takes the place of the old one, with a warning.
 
         Args:
-            name: Name to look the record up by.
-            record: The record; its own ``name``, if it has one, must be the same.
-            replace: Replace a record of another module, without a warning.
-            module: Module that the name belongs to; the caller's if None.
+            name: Name of the record.
+            record: The record; if it has a field ``name``, that must be equal.
+            replace: Replace also a record of another module, without a warning.
+            module: Module that adds the record; the caller's if None.
 
         Raises:
-            InvalidConfigError: The name is taken, is not the record's own or cannot be
-                a name, or the record is of another type.
+            InvalidConfigError: The name is taken, is not the record's own or is
+                invalid, or the record has a wrong type.
         """
         self._check(name, record)
         own = getattr(record, "name", name)
@@ -69,7 +70,7 @@ class Registry(Generic[T]):
             raise InvalidConfigError(
                 f"The {self._kind} {own!r} cannot be added as {name!r}. Use one name."
             )
-        # A decorator that says whose a name is stands between.
+        # A decorator that passes ``module`` is one more level on the stack.
         level = 2 if module is None else 3
         module = calling_module() if module is None else module
         if name in self._records and not replace:
@@ -110,7 +111,7 @@ class Registry(Generic[T]):
             raise UnknownNameError(self._kind, name, self._records) from None
 
     def __contains__(self, name: object) -> bool:
-        """Whether a record is called ``name``."""
+        """Return whether there is a record called ``name``."""
         return name in self._records
 
     def __iter__(self) -> Iterator[str]:
@@ -123,7 +124,7 @@ class Registry(Generic[T]):
 
 
 def calling_module() -> str:
-    """Return the module from which the function that asks was called."""
+    """Return the module that called the caller of this function."""
     name: str = sys._getframe(2).f_globals.get("__name__", "")
     return name
 
@@ -137,7 +138,7 @@ def check_fields(kind: str, name: str, record: Any) -> None:
         record: The record.
 
     Raises:
-        InvalidConfigError: A field is of another type than its annotation.
+        InvalidConfigError: The type of a field does not match its annotation.
     """
     if is_dataclass(record) and not isinstance(record, type):
         for field in fields(record):
@@ -154,7 +155,7 @@ def _refuse(kind: str, name: str, part: str, value: object, hint: Any) -> NoRetu
 
 
 def takes(function: object, count: int) -> bool:
-    """Whether something can be called with so many arguments by position."""
+    """Return whether an object can be called with ``count`` positional arguments."""
     if not callable(function):
         return False
     try:
@@ -167,11 +168,11 @@ def takes(function: object, count: int) -> bool:
 
 
 def fits(value: object, hint: Any) -> bool:
-    """Whether a value is of an annotated type, as far as that can be seen.
+    """Return whether a value matches an annotation, as far as that can be checked.
 
     Args:
-        value: Anything; lists stand for tuples, and NumPy's numbers for Python's.
-        hint: A class, or a generic type, a union or a ``Literal`` of some.
+        value: Any value; lists match tuples, and NumPy's numbers match Python's.
+        hint: A class, or a generic type, a union or a ``Literal``.
     """
     origin, args = get_origin(hint), get_args(hint)
     if hint is Any:

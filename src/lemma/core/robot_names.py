@@ -6,12 +6,12 @@ _PREFIX = "robot_"
 
 
 def robot_name(number: int) -> str:
-    """Return the name of a robot by its number in the scene, from 0."""
+    """Return the name of the robot with a number in the scene, from 0."""
     return f"{_PREFIX}{number}"
 
 
 def robot_names(count: int) -> tuple[str, ...]:
-    """Return the names of the first robots: ``("robot_0", "robot_1")``."""
+    """Return the names of ``count`` robots: ``("robot_0", "robot_1", ...)``."""
     return tuple(map(robot_name, range(count)))
 
 
@@ -19,7 +19,7 @@ def robot_number(name: str) -> int:
     """Return the number of a robot, the inverse of :func:`robot_name`.
 
     Raises:
-        UnknownNameError: No robot is called so.
+        UnknownNameError: The name is not that of a robot.
     """
     digits = name.removeprefix(_PREFIX)
     if not digits.isdecimal() or name != robot_name(int(digits)):

@@ -1,7 +1,7 @@
-"""Named random streams and ordered sums: the same numbers everywhere.
+"""Named random streams and ordered sums, with the same results on every machine.
 
-No module of this package touches a global random state. A stream is a pure function
-of its words, so what one stream draws never shifts what another one draws.
+No module of this package uses a global random state. A stream is a pure function of its
+words, so draws from one stream never affect another.
 """
 
 import hashlib
@@ -11,10 +11,10 @@ import numpy as np
 
 
 def stream(*words: str | int) -> np.random.Generator:
-    """Return the generator that belongs to ``words``.
+    """Return the random generator of a sequence of words.
 
     Args:
-        *words: Purpose of the numbers, outermost scope first:
+        *words: Purpose of the numbers, outermost scope first, such as
             ``stream("v3", "stack", "test", 3, "layout")``.
 
     Returns:
@@ -26,11 +26,11 @@ def stream(*words: str | int) -> np.random.Generator:
 
 
 def ordered_sum(values: Iterable[float]) -> float:
-    """Return the sum of numbers, added one after the other from the first on.
+    """Return the sum of numbers, added in order.
 
     Since Python 3.12 the built-in ``sum`` compensates for rounding when it adds floats,
-    so its last bits differ from those of Python 3.11. The simulation
-    uses this function instead.
+    so its last bits differ from those of Python 3.11. The simulation uses this function
+    instead.
     """
     total = 0.0
     for value in values:

@@ -1,4 +1,4 @@
-"""Tables of words and numbers, written for a terminal, Markdown, LaTeX or CSV."""
+"""Tables of words and numbers, for terminals, Markdown, LaTeX and CSV."""
 
 import csv
 import io
@@ -34,33 +34,33 @@ _MARKS = (
 
 @dataclass(frozen=True)
 class Table:
-    """A table of cells of text; marks of Markdown are emphasis."""
+    """A table with cells of text, in which Markdown marks are emphasis."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     labels: int = 1
-    """Columns from the left that hold words, not numbers."""
+    """Number of columns from the left with words instead of numbers."""
 
     def markdown(self) -> str:
-        """Return it in Markdown, numbers to the right."""
+        """Return the table in Markdown, with numbers aligned to the right."""
         numbers = len(self.header) - self.labels
         rule = [*[":---"] * self.labels, *["---:"] * numbers]
         lines = (self.header, rule, *self.rows)
         return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
     def csv(self) -> str:
-        """Return it as comma-separated values, without marks."""
+        """Return the table as comma-separated values, without marks."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerows(map(plain, row) for row in (self.header, *self.rows))
         return text.getvalue()
 
     def latex(self, caption: str = "", label: str = "") -> str:
-        r"""Return it for a paper; it needs ``\usepackage{booktabs}``.
+        r"""Return the table in LaTeX; it needs ``\usepackage{booktabs}``.
 
         Args:
-            caption: Below the table, if any; plain text.
-            label: Label for ``\ref``, if any.
+            caption: Caption in plain text; none if empty.
+            label: Label for ``\ref``; none if empty.
         """
         columns = "l" * self.labels + "r" * (len(self.header) - self.labels)
         lines = [
@@ -81,24 +81,24 @@ class Table:
         return "\n".join((*lines, r"\end{table}")) + "\n"
 
     def terminal(self, bold: Container[int] = ()) -> "rich.table.Table":
-        """Return it for a terminal, numbers to the right.
+        """Return the table for a terminal, with numbers aligned to the right.
 
         Args:
-            bold: Numbers of rows that stand out.
+            bold: Indices of bold rows.
         """
-        # Imported here, so that packages without a terminal do without it.
+        # Late import, so that ``rich`` is needed for terminals only.
         from rich.box import SIMPLE_HEAD  # noqa: PLC0415
         from rich.table import Table as RichTable  # noqa: PLC0415
         from rich.text import Text  # noqa: PLC0415
 
-        # Four kinds of instructions fit into 80 columns without the edge.
+        # Without the edge, four kinds of instructions fit into 80 columns.
         shown = RichTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
         for number, heading in enumerate(self.header):
             shown.add_column(
                 Text(heading),
                 style="bold" if number == 0 else "",
                 justify="left" if number < self.labels else "right",
-                # Sentences may take several lines; names and numbers do not.
+                # Only sentences, in the other label columns, may wrap.
                 no_wrap=not 0 < number < self.labels,
             )
         for number, row in enumerate(self.rows):
@@ -107,14 +107,14 @@ class Table:
 
 
 def plain(text: str) -> str:
-    """Return a cell without marks of Markdown."""
+    """Return a cell without Markdown marks."""
     for mark, _ in _MARKS:
         text = mark.sub(r"\1", text)
     return text
 
 
 def escaped(text: str) -> str:
-    """Return plain text, or a cell of Markdown, so that LaTeX prints it as meant."""
+    """Return plain text, or a cell with Markdown marks, in LaTeX."""
     safe = "".join(_SPECIAL.get(character, character) for character in text)
     for mark, command in _MARKS:
         safe = mark.sub(command, safe)

@@ -1,4 +1,4 @@
-"""The version of the package, and the extras that it can be installed with."""
+"""The version of the package, and its extras."""
 
 import re
 from importlib.metadata import PackageNotFoundError, requires
@@ -6,12 +6,12 @@ from importlib.metadata import PackageNotFoundError, requires
 VERSION = "0.1.0"
 DISTRIBUTION = "lemma-bench"
 DEVELOPMENT = ("dev", "docs")
-"""Extras for those who work on this package."""
+"""Extras for developers of this package."""
 _OPTIONAL = re.compile(r"([\w.-]+).*\bextra == ['\"]([\w-]+)['\"]")
 
 
 def extras() -> dict[str, list[str]]:
-    """Return the optional packages of every extra that users may want."""
+    """Return the packages of each extra, without the extras for developers."""
     found: dict[str, list[str]] = {}
     try:
         lines = requires(DISTRIBUTION) or []
@@ -25,10 +25,10 @@ def extras() -> dict[str, list[str]]:
 
 
 def extra_of(module: str) -> str | None:
-    """Return the extra that a module comes with; None if it comes with none.
+    """Return the extra that installs a module; None if there is none.
 
     Args:
-        module: Its full name.
+        module: Full name of the module.
     """
     package = module.partition(".")[0].replace("_", "-")
     for extra, packages in extras().items():

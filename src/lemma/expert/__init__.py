@@ -1,1 +1,1 @@
-"""The oracle: it plans, grounds and acts, and makes mistakes on purpose."""
+"""The oracle: planning, grounding, acting, and deliberate mistakes."""

@@ -1,8 +1,8 @@
 """Deliberate mistakes, executed in place of the expert's sub-task.
 
-A policy that has seen perfect demonstrations alone never sees what follows a missed
-grasp, a cube beside its pad, a stick laid elsewhere, or the wrong robot at work. Here
-are such mistakes; the expert then says the right sub-task.
+Perfect demonstrations do not contain the states after a missed grasp, a misplaced cube
+or stick, or a sub-task of the wrong robot. This module causes such mistakes; the expert
+then recovers from them.
 """
 
 import math
@@ -22,42 +22,48 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 NONE = "none"
 KINDS = ("pick", "place", "drop", "robot", "choice")
-"""``pick``, ``place``: the pose is off by some centimetres and tens of degrees;
-``drop``: the motion ends halfway; ``robot``: another robot tries it, whether it can or
-not; ``choice``: another sub-task that can be done, well executed."""
+"""Kinds of mistakes. ``pick``, ``place``: the pose has an error of centimetres and tens
+of degrees; ``drop``: the object is put down halfway; ``robot``: another robot tries the
+sub-task, feasible or not; ``choice``: another feasible sub-task, executed correctly."""
 _SHARES = (0.20, 0.25, 0.15, 0.15, 0.25)
 
 PICK_OFF_M = (0.01, 0.045)
-"""Smallest and largest error of a grasp: half a cube and more is a miss."""
+"""Smallest and largest error of a grasp; an error above half a cube is a miss."""
 PLACE_OFF_M = (0.03, 0.12)
-"""The same of where things are put: a pad's radius and more is beside it."""
+"""Smallest and largest error of a placement; an error above the radius of a pad puts
+the object beside the pad."""
 YAW_OFF_RAD = math.radians(40.0)
 _HALFWAY = (0.2, 0.8)
 _NEAR = 0.5
-"""How often another sub-task is as like the expert's as can be: one word is wrong."""
+"""Probability that another sub-task is as similar as possible to the expert's, such as
+with a single different field."""
 
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """How often sub-tasks are perturbed."""
+    """Probability and seed of mistakes.
+
+    Raises:
+        InvalidConfigError: The probability is not above 0 and at most 1.
+    """
 
     probability: float
-    """Of each sub-task, above 0, at most 1."""
+    """Probability of a mistake in each sub-task, above 0, at most 1."""
     seed: int = 0
-    """Another one makes other mistakes in the same instances."""
+    """Seed of the mistakes; other seeds give other mistakes in the same instances."""
 
     def __post_init__(self) -> None:
         """Check the probability."""
         if not 0.0 < self.probability <= 1.0:
             raise InvalidConfigError(
-                f"Sub-tasks are perturbed with a probability above 0 and up to 1, not "
+                f"The probability of mistakes must be above 0 and at most 1, not "
                 f"{self.probability:g}. Try 0.3."
             )
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """The sub-task that is executed instead."""
+    """A sub-task that is executed in place of the expert's."""
 
     kind: str
     """One of :data:`KINDS`."""
@@ -66,10 +72,10 @@ class Mistake:
 
 
 class Perturber:
-    """Makes mistakes in a scene."""
+    """Generates mistakes in a scene."""
 
     def __init__(self, spec: SceneSpec) -> None:
-        """Prepare for a scene.
+        """Prepare grounding for a scene.
 
         Args:
             spec: The scene.
@@ -83,13 +89,13 @@ class Perturber:
         now: SymbolicState,
         rng: np.random.Generator,
     ) -> Mistake:
-        """Return a mistake that could be made now.
+        """Return a random mistake.
 
         Args:
             subtask: The expert's sub-task.
-            grounded: The same with poses.
-            now: Where things are.
-            rng: Of all that is drawn.
+            grounded: The same sub-task with poses.
+            now: The present state.
+            rng: Random generator.
         """
         kind = KINDS[int(rng.choice(len(KINDS), p=_SHARES))]
         found = None
@@ -109,7 +115,7 @@ class Perturber:
         now: SymbolicState,
         rng: np.random.Generator,
     ) -> Mistake | None:
-        """Let another robot try: well if it can, else with the poses of the first."""
+        """Return the sub-task of another robot; if infeasible, with the same poses."""
         others = [name for name in self._grounder.robots if name != subtask.robot]
         if not others:
             return None
@@ -125,7 +131,7 @@ class Perturber:
         now: SymbolicState,
         rng: np.random.Generator,
     ) -> Mistake | None:
-        """Choose another sub-task that can be done; None where there is none."""
+        """Return another feasible sub-task; None if there is none."""
         others = [each for each in self._possible(now) if each != subtask]
         others = [others[i] for i in rng.permutation(len(others))]
         if rng.random() < _NEAR:
@@ -137,7 +143,7 @@ class Perturber:
         return None
 
     def _possible(self, now: SymbolicState) -> Iterator[SubTask]:
-        """Yield the sub-tasks that make sense, whether or not their robot can."""
+        """Yield the valid sub-tasks, feasible or not."""
         for robot in self._grounder.robots:
             for cube in now.supports:
                 for place in (*now.spec.regions, *now.poses):
@@ -154,13 +160,13 @@ class Perturber:
 
 
 def _differences(one: SubTask, other: SubTask) -> int:
-    """Return in how many of its four words a sub-task differs."""
+    """Return the number of fields, of four, in which two sub-tasks differ."""
     first, second = one.to_dict(), other.to_dict()
     return len([word for word in first if first[word] != second[word]])
 
 
 def _off(pose: Pose2, limits_m: tuple[float, float], rng: np.random.Generator) -> Pose2:
-    """Return a pose that is off by a distance between limits, in any direction."""
+    """Return a pose with a random error: distance within limits, any direction."""
     distance = rng.uniform(*limits_m)
     direction = rng.uniform(-math.pi, math.pi)
     return Pose2(
@@ -173,13 +179,13 @@ def _off(pose: Pose2, limits_m: tuple[float, float], rng: np.random.Generator) -
 def _spoilt(
     kind: str, grounded: GroundedSubTask, rng: np.random.Generator
 ) -> GroundedSubTask:
-    """Return a sub-task with another pose to pick at, or to place at."""
+    """Return a sub-task with a wrong pick or place pose."""
     pick, place = grounded.pick, grounded.place
     if kind == "pick":
         return replace(grounded, pick=_off(pick, PICK_OFF_M, rng))
     if kind == "place":
         return replace(grounded, place=_off(place, PLACE_OFF_M, rng))
-    # Dropped: the held object is put down halfway.
+    # Kind "drop": put the held object down halfway.
     part = rng.uniform(*_HALFWAY)
     x = pick.x + part * (place.x - pick.x)
     y = pick.y + part * (place.y - pick.y)

@@ -1,4 +1,4 @@
-"""The expert: plans, grounds, executes, looks, and plans again."""
+"""The expert: plans, grounds, executes, observes, and plans again."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from lemma.tasks.subtask import STOP, GroundedSubTask, SubTask
 
 _AS_PREDICTED_M = 0.03
 _MAX_STEPS = 30
-"""No task needs more than 7; failures may repeat some."""
+"""Limit on sub-tasks. No task needs more than 7, but failures may repeat some."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,19 +30,19 @@ class ExpertStep:
 
 
 class Expert:
-    """The oracle as planner and grounder: it sees the true state.
+    """The oracle as planner and grounder, with access to the true state.
 
-    It keeps its plan while the world does what was predicted, and plans again from what
-    it sees when a sub-task failed or something is not where it should be.
+    It keeps its plan while the state is as predicted, and plans again if a sub-task
+    failed or an object is not where the plan predicted it.
     """
 
     def __init__(
         self, scene: Scene, goal: Goal, team: tuple[str, ...] | None = None
     ) -> None:
-        """Look at a scene for the first time.
+        """Prepare for a scene and a goal.
 
         Args:
-            scene: The world.
+            scene: The scene.
             goal: The goal.
             team: Robots that may act; all if None.
         """
@@ -53,16 +53,16 @@ class Expert:
         self._queue: list[GroundedOption] = []
         self._expected: SymbolicState | None = None
         self.replans = -1
-        """How often the plan had to be made anew."""
+        """Number of times that the expert planned again."""
 
     def plan(self) -> Plan | None:
-        """Return the plan of highest utility from the present state."""
+        """Return the plan of highest utility from the present state, or None."""
         return self._plan_from(SymbolicState.observe(self._scene))
 
     def act(self) -> tuple[SubTask, GroundedSubTask | None]:
-        """Return the next sub-task and its poses; ``STOP`` and None at the end.
+        """Return the next sub-task and its poses.
 
-        ``STOP`` is also the answer where no plan exists.
+        If the goal holds or there is no plan, the result is ``STOP`` and None.
         """
         now = SymbolicState.observe(self._scene)
         if self._expected is not None and not _agree(now, self._expected):
@@ -73,7 +73,7 @@ class Expert:
             return STOP, None
         step = self._grounder.ground(self._queue.pop(0).subtask, now)
         if step is None:
-            # The poses differ a little from what was predicted, and now it is too far.
+            # Small deviations from the predicted poses have made it infeasible.
             self._plan_anew(now)
             if not self._queue:
                 self._expected = None
@@ -91,17 +91,17 @@ class Expert:
         self._queue = list(plan.steps) if plan is not None else []
 
     def notice(self, result: SkillResult) -> None:
-        """Take note of how the last sub-task went."""
+        """Process the result of the last sub-task; a failure discards the plan."""
         if not result.ok:
             self._queue, self._expected = [], None
 
 
 def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
-    """Let an expert work on an episode to its end, yielding every sub-task.
+    """Solve an episode with an expert; yield every executed sub-task.
 
     Args:
-        episode: The instance being worked on.
-        expert: Decides.
+        episode: The episode in progress.
+        expert: The expert, for the same scene and goal.
     """
     for _ in range(_MAX_STEPS):
         subtask, grounded = expert.act()
@@ -117,7 +117,7 @@ def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
 
 
 def _agree(now: SymbolicState, expected: SymbolicState) -> bool:
-    """Whether cubes and supports are as predicted; the stick is looked at again."""
+    """Return whether supports, and poses except the stick's, are as predicted."""
     if now.fallen != expected.fallen or (
         (now.supports, now.seconds) != (expected.supports, expected.seconds)
     ):

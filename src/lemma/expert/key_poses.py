@@ -1,4 +1,4 @@
-"""The expert's next key pose: its sub-tasks as poses where a hand changes something."""
+"""The expert's next key poses: poses at which a gripper grasps, releases or hovers."""
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_number
@@ -16,14 +16,14 @@ _DRAGS = {Primitive.POKE: Kind.POKE, Primitive.HOOK: Kind.HOOK}
 
 
 def next_key_poses(episode: Episode) -> tuple[SubTask, tuple[KeyPose, ...]]:
-    """Return the expert's next sub-task and its key poses, in their order.
+    """Return the expert's next sub-task and its key poses in temporal order.
 
     Args:
-        episode: With nothing in any hand.
+        episode: The episode in progress, with empty grippers.
 
     Returns:
-        ``STOP`` and :data:`NOWHERE` where nothing is left to do, or nothing can be
-        done.
+        Sub-task and key poses; ``STOP`` and :data:`NOWHERE` if the goal holds or there
+        is no plan.
     """
     subtask, grounded = Expert(episode.simulation.scene, episode.instance.goal).act()
     if grounded is None:
@@ -32,11 +32,17 @@ def next_key_poses(episode: Episode) -> tuple[SubTask, tuple[KeyPose, ...]]:
 
 
 def key_poses(runner: SkillRunner, subtask: GroundedSubTask) -> tuple[KeyPose, ...]:
-    """Return the key poses of a grounded sub-task; none where nothing can be picked.
+    """Return the key poses of a grounded sub-task in temporal order.
 
     Args:
-        runner: Of the scene, to look at it.
+        runner: Skill runner of the scene.
         subtask: The sub-task.
+
+    Returns:
+        The key poses; :data:`NOWHERE` if there is no object at the pick pose.
+
+    Raises:
+        InvalidConfigError: No gripper can hold the object.
     """
     try:
         held, grip_m = runner.what_to_pick(subtask.pick)

@@ -1,4 +1,4 @@
-"""The plan level: one symbolic sub-task per step, which the oracle grounds."""
+"""The plan level: an action is a symbolic sub-task, which the oracle grounds."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from lemma.tasks.subtask import Primitive, SubTask
 
 
 class PlanEnv(SubTaskEnv):
-    """An action is who does what with which object and where: names, no geometry."""
+    """Environment whose actions are robot, primitive, pick and place, without poses."""
 
     def __init__(self, config: EnvConfig, render_mode: str | None = None) -> None:
         """Define the spaces; nothing is simulated before the first reset.
@@ -34,12 +34,12 @@ class PlanEnv(SubTaskEnv):
         """Return the action for a sub-task, or ``stop`` for None.
 
         Raises:
-            InvalidActionError: There never is such an entity.
+            InvalidActionError: There is no such entity, or the argument is neither.
         """
         return encode_plan(subtask, len(self.robot_names), self.config.kinds)
 
     def decode(self, action: Action) -> SubTask:
-        """Return the sub-task that an action means.
+        """Return the sub-task of an action.
 
         Raises:
             InvalidActionError: The action is not in the space.

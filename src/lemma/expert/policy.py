@@ -1,4 +1,4 @@
-"""The expert as a policy: observation in, action out, like any learned one."""
+"""The expert as a policy with the interface of learned policies."""
 
 from typing import Any
 
@@ -16,20 +16,20 @@ from lemma.expert.plan_env import PlanEnv
 Rows = NDArray[np.float32]
 
 MODE = "joint_position"
-"""The control mode whose actions these are."""
+"""The control mode of the actions."""
 _SETTLE_STEPS = 2
-"""The servos get so long to arrive where those of the copy have arrived."""
+"""Steps at the end of a sub-task in which the servos settle."""
 _WAIT_STEPS = 10
 
 
 class JointMotion:
-    """Turns the expert's sub-tasks in one episode into actions."""
+    """Converts the expert's sub-tasks in one episode into joint position actions."""
 
     def __init__(self, env: ControlEnv) -> None:
-        """Make the copy.
+        """Copy the environment's episode.
 
         Args:
-            env: In an episode, in control mode :data:`MODE`.
+            env: The environment, during an episode, in control mode :data:`MODE`.
         """
         self._env = env
         self._copy = Episode(env.instance)
@@ -37,7 +37,7 @@ class JointMotion:
     def next_chunk(self) -> Rows:
         """Return the actions of the next sub-task, (steps, robots, 7) [rad, m].
 
-        Where nothing is left to do, or nothing can be done, all stays where it is.
+        If the goal holds or there is no plan, the actions keep all robots still.
         """
         copy, env = self._copy, self._env
         copy.restore(env.episode.snapshot())
@@ -62,13 +62,13 @@ class JointMotion:
 
 
 def _row(episode: Episode) -> Rows:
-    """Return what all robots' servos follow now, (robots, 7) [rad, m]."""
+    """Return the present references of all servos, (robots, 7) [rad, m]."""
     arms = episode.simulation.arms.values()
     return np.array([[*arm.state[0], arm.opening_m] for arm in arms], np.float32)
 
 
 class ExpertPolicy:
-    """Solves what it is put before. It does not look at observations: it knows.
+    """Solves episodes with the true state; it ignores observations.
 
     Example:
         >>> expert = ExpertPolicy(env)
@@ -79,14 +79,14 @@ class ExpertPolicy:
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        """Watch an environment.
+        """Act in the given environment.
 
         Args:
-            env: Of any level, with or without wrappers; at control level it must be
-                commanded by joint positions.
+            env: An environment of level skill or plan, or of level control with joint
+                positions as actions; wrappers are allowed.
 
         Raises:
-            InvalidConfigError: It is of another level.
+            InvalidConfigError: The environment has other actions.
         """
         inner = env.unwrapped
         led = isinstance(inner, ControlEnv) and inner.config.control == MODE
@@ -109,7 +109,7 @@ class ExpertPolicy:
             observation: Ignored.
 
         Raises:
-            ResetNeededError: The environment has not been reset yet.
+            ResetNeededError: The environment has not been reset.
         """
         del observation
         episode = self._env.episode

@@ -1,10 +1,10 @@
-"""The expert with all robots at work at the same time.
+"""The expert with all robots working at the same time.
 
-The plan is the one of :mod:`lemma.expert.expert`, or an order of a schedule. Each robot
-begins the first of its sub-tasks for which nothing is missing: every earlier one that
-shares an object with it has had its effect, so what it needs lies where it should, and
-the arm that brought it goes home. Sub-tasks are grounded when they begin, in the state
-that those under way will leave behind.
+The plan is that of :mod:`lemma.expert.expert`, or the order of a schedule. Each robot
+begins the first of its sub-tasks whose dependencies are satisfied: every earlier
+sub-task with a common object has had its effect, and the arm that did it is on its way
+home. A sub-task is grounded when it begins, in the predicted state after all running
+sub-tasks.
 """
 
 import math
@@ -26,14 +26,14 @@ _MOST_PLANS = 4
 def solve_together(
     episode: Episode, order: Sequence[SubTask] = ()
 ) -> Iterator[ExpertStep]:
-    """Let all robots work on an episode to its end, yielding every sub-task.
+    """Solve an episode with all robots at once; yield every sub-task that ended.
 
-    After a failure what is under way is finished, and then a new plan is made, up to
-    four plans in all.
+    After a failure, running sub-tasks are finished before the expert plans again. It
+    makes at most four plans.
 
     Args:
-        episode: The instance being worked on.
-        order: The first plan, such as ``Schedule.steps``; the planner's if empty.
+        episode: The episode in progress.
+        order: The first plan, such as ``Schedule.steps``; if empty, the planner's.
     """
     grounder = GeometricGrounder(episode.instance.scene)
     for _ in range(_MOST_PLANS):
@@ -54,21 +54,21 @@ def solve_together(
 def carry_out(
     episode: Episode, steps: Sequence[SubTask], grounder: GeometricGrounder
 ) -> Iterator[ExpertStep]:
-    """Carry out a plan, with as many robots at a time as can; yields what ended.
+    """Execute a plan with all robots at once; yield every sub-task that ended.
 
-    Nothing new begins once a sub-task has failed or finds no poses.
+    After a sub-task has failed, or could not be grounded, no further one begins.
 
     Args:
-        episode: The instance being worked on.
-        steps: The plan, in an order in which it can be carried out one by one.
-        grounder: Of the same scene.
+        episode: The episode in progress.
+        steps: The plan, in an order in which sequential execution is possible.
+        grounder: Grounder of the same scene.
     """
     work = TeamWork(Team(episode, grounder), steps)
     while True:
         work.begin_ready()
         if not work.team.orders:
             return
-        # Where somebody is free and has work, it may begin before another robot is.
+        # A free robot with sub-tasks left may begin before any running sub-task ends.
         until_s = episode.simulation.time_s + LOOK_S if work.waits else math.inf
         for ended in work.pass_time(until_s):
             assert ended.subtask is not None
@@ -77,19 +77,19 @@ def carry_out(
 
 
 class TeamWork:
-    """A plan under way: each robot begins its next sub-task as soon as it can."""
+    """Execution of a plan: each robot begins its next sub-task as soon as possible."""
 
     def __init__(
         self, team: Team, steps: Sequence[SubTask], *, patient: bool = False
     ) -> None:
-        """Take over a team.
+        """Start the execution of a plan.
 
         Args:
-            team: Its robots; those at work finish what they do.
-            steps: The sub-tasks after that, in an order in which they can be done one
-                by one.
-            patient: Whether a sub-task that finds no poses is tried again while others
-                are at work; it may be about what lies below something else.
+            team: The robots; busy ones finish their sub-tasks first.
+            steps: The plan, in an order in which sequential execution is possible.
+            patient: Whether a sub-task that cannot be grounded is tried again while
+                other robots are busy, for example because its object is still below
+                another one.
         """
         self.team, self.failed, self._patient = team, False, patient
         running = [(name, order.subtask) for name, order in team.orders.items()]
@@ -110,15 +110,15 @@ class TeamWork:
 
     @property
     def waits(self) -> bool:
-        """Whether a robot is free that has work left."""
+        """Whether a free robot has sub-tasks left."""
         free = (step.robot not in self.team.orders for step in self.todo)
         return any(free) and not self.failed
 
     def begin_ready(self, may: Callable[[SubTask], bool] = lambda _: True) -> None:
-        """Let free robots begin that can; nobody once a sub-task has failed.
+        """Begin all sub-tasks that are ready; none after a sub-task has failed.
 
         Args:
-            may: Whether a sub-task may begin.
+            may: Returns whether a sub-task may begin.
         """
         team, episode = self.team, self.team.episode
         now, lost = team.observe(), False
@@ -143,10 +143,10 @@ class TeamWork:
         self.failed |= lost and not team.orders
 
     def pass_time(self, until_s: float) -> list[Done]:
-        """Let time pass until a sub-task ends, or up to a time [s]; return what ended.
+        """Simulate until a sub-task ends or until a time; return the ended ones.
 
         Args:
-            until_s: Simulated time [s].
+            until_s: Latest simulated time [s].
         """
         ended = self.team.pass_time(until_s)
         for one in ended:

@@ -1,1 +1,1 @@
-"""RMPflow, and the primitives as motions."""
+"""RMPflow, and the motions that execute primitives."""

@@ -1,4 +1,4 @@
-"""One arm under RMPflow: a joint reference that servos follow."""
+"""Motion of one arm: RMPflow advances a joint reference that the servos follow."""
 
 import math
 from functools import lru_cache
@@ -20,25 +20,25 @@ from lemma.scene.build import TIME_STEP_S
 from lemma.scene.scene import RobotIndex, Scene
 
 SUBSTEP_S = 0.0025
-"""RMPflow's own step: its stiffest leaves brake at 300/s and need it short."""
+"""Integration step of RMPflow; short, because the stiffest leaves damp at 300/s."""
 SUBSTEPS = round(TIME_STEP_S / SUBSTEP_S)
 
 _PARK_BEARING_RAD = math.radians(115.0)
 _PARK_HEIGHTS_M = (0.42, 0.36, 0.30, 0.24)
-"""The first that an arm can do: a small arm folds lower."""
+"""Heights of the park posture to try in this order: small arms need a lower one."""
 _BRANCH_COST = 100.0
 _TRACKING_LIMIT_RAD = 0.12
 POSTURE_ALONE = 20.0
-"""Weight of a posture that is all there is to follow."""
+"""Weight of the posture leaf when there is no target pose."""
 _NOWHERE = np.eye(4)
 
 
 @lru_cache
 def park_joints(arm_name: str) -> tuple[float, ...]:
-    """Return where an arm waits: folded, beside its base, out of its camera's view.
+    """Return the park posture, (6,) [rad]: folded beside the base, out of camera view.
 
-    The gripper points down at the robot's left, a little behind it; from there a turn
-    of the base takes the whole arm over the table on the same branch of its kinematics.
+    The gripper points down, left of the robot and slightly behind it; from there, the
+    base turns the arm over the table without a change of kinematic branch.
     """
     reach = reach_of(arm_name)
     radius = max(0.42 * reach.travel_m, reach.inner_m + 0.02)
@@ -50,7 +50,7 @@ def park_joints(arm_name: str) -> tuple[float, ...]:
             _PARK_BEARING_RAD,
         )
         solutions = gripper_ik(arm_name, np.eye(4), pose)
-        # The elbow above the line from shoulder to wrist, and the base turned least.
+        # Of the solutions with the elbow up, the one with the smallest base turn.
         dh = ARMS[arm_name].dh
         elbow_up = [q for q in solutions if _elbow_height(dh, q) > 0.0]
         if elbow_up:
@@ -63,7 +63,7 @@ def park_joints(arm_name: str) -> tuple[float, ...]:
 
 @kernel
 def _elbow_height(dh: FloatArray, q: FloatArray) -> float:
-    """Return how high the elbow is above the middle of shoulder and wrist [m]."""
+    """Return the height of the elbow above the midpoint of shoulder and wrist [m]."""
     placed = np.empty((7, 4, 4))
     frames(dh, np.eye(4), q, placed)
     height: float = placed[2, 2, 3] - 0.5 * (placed[1, 2, 3] + placed[3, 2, 3])
@@ -72,10 +72,10 @@ def _elbow_height(dh: FloatArray, q: FloatArray) -> float:
 
 @kernel
 def _branch(dh: FloatArray, q: FloatArray) -> tuple[bool, bool, bool]:
-    """Return which of its eight ways the arm takes: elbow, shoulder, wrist."""
+    """Return the kinematic branch: elbow up, shoulder towards wrist, wrist positive."""
     placed = np.empty((7, 4, 4))
     frames(dh, np.eye(4), q, placed)
-    # The shoulder looks at the wrist or away from it.
+    # Positive if the shoulder faces the wrist.
     front = placed[1, 0, 0] * placed[4, 0, 3] + placed[1, 1, 0] * placed[4, 1, 3]
     return _elbow_height(dh, q) > 0.0, front > 0.0, math.sin(q[4]) > 0.0
 
@@ -99,9 +99,9 @@ def _nearest(
     limit: FloatArray,
     branch: tuple[bool, bool, bool],
 ) -> int:
-    """Turn solutions, (n, 6), towards a reference; return the nearest, -1 if none is.
+    """Add whole turns to solutions, (n, 6) [rad]; return the index nearest a reference.
 
-    Those of another branch count as far away.
+    Solutions of other branches get a penalty. The index is -1 if there is no solution.
     """
     best, best_cost = -1, math.inf
     for s in range(solutions.shape[0]):
@@ -131,18 +131,18 @@ def choose_posture(  # noqa: PLR0913 - all that the choice depends on
     """Write the joint angles that :meth:`ArmMotion.solve_posture` returns to ``out``.
 
     Args:
-        dh: Of the arm, (6,) [m].
-        base: World from base, (4, 4).
-        links: Link that each capsule of the arm is fixed to, (n,).
-        capsules: Ends and radius in the frame of the link, (n, 7) [m].
-        limit: Largest angles, (6,) [rad].
-        park: Where the arm waits, (6,) [rad].
-        reference: Where it is, (6,) [rad].
-        pose: World from gripper at the tool centre point, (4, 4).
-        out: Written, (6,) [rad]; left alone where the arm cannot be.
+        dh: Denavit-Hartenberg lengths of the arm, (6,) [m].
+        base: World from base, (4, 4) [m].
+        links: Link frame of each capsule of the arm, (n,).
+        capsules: Both ends and radius in link frames, (n, 7) [m].
+        limit: Largest absolute angles, (6,) [rad].
+        park: Park posture, (6,) [rad].
+        reference: Present joint angles, (6,) [rad].
+        pose: World from gripper at the tool centre point, (4, 4) [m].
+        out: Written, (6,) [rad]; unchanged if there is no solution.
 
     Returns:
-        Whether the arm can be there.
+        Whether there is a solution.
     """
     found = usable_postures(dh, base, pose, limit, links, capsules)
     best = _nearest(dh, found, reference, limit, _branch(dh, park))
@@ -164,10 +164,10 @@ def _lead_servos(  # noqa: PLR0913 - one call is what makes it fast
     gripper: int,
     out: FloatArray,
 ) -> None:
-    """Advance a reference by as many physics steps as ``out``, (n, nu), has rows.
+    """Advance the reference by one physics step per row of ``out``, (n, nu) [rad, m].
 
-    Six columns from ``servos`` on are written, the reference after that step led by the
-    servos' lag, and that of the gripper.
+    Writes the six columns from ``servos`` on, which are the reference extrapolated by
+    the servos' lag, and the column of the gripper.
     """
     for step in range(out.shape[0]):
         integrate(record, spheres, state, obstacles, pace * SUBSTEP_S, SUBSTEPS)
@@ -180,7 +180,7 @@ def _lead_servos(  # noqa: PLR0913 - one call is what makes it fast
 def _set_goal(
     record: np.ndarray, pose: FloatArray, posture: FloatArray, weight: float
 ) -> None:
-    """Write a pose of the tool centre point, (4, 4), and a posture, (6,), as goal."""
+    """Set a pose of the tool centre point, (4, 4), and a posture, (6,), as goal."""
     goal = record[0].goal
     for i in range(3):
         goal.position[i] = pose[i, 3]
@@ -195,7 +195,7 @@ def _set_goal(
 def _aim_down(
     record: np.ndarray, x: float, y: float, z: float, yaw: float, posture: FloatArray
 ) -> None:
-    """Write a gripper that points down, see :func:`top_down`, and a posture as goal."""
+    """Set a gripper that points down (see :func:`top_down`) and a posture as goal."""
     _set_goal(record, top_down(x, y, z, yaw), posture, 1.0)
 
 
@@ -226,7 +226,7 @@ def _pose_error(
 
 @kernel
 def _is_held_up(q: FloatArray, state: FloatArray, lag_s: float) -> bool:
-    """Whether a joint is not where a servo that follows within its lag has it."""
+    """Return whether a joint is farther from the reference than servo lag explains."""
     for i in range(6):
         if abs(q[i] - state[0, i]) > _TRACKING_LIMIT_RAD + lag_s * abs(state[1, i]):
             return True
@@ -235,7 +235,7 @@ def _is_held_up(q: FloatArray, state: FloatArray, lag_s: float) -> bool:
 
 @kernel
 def largest_turn(a: FloatArray, b: FloatArray) -> float:
-    """Return the largest difference of two postures, (6,) [rad]."""
+    """Return the largest absolute difference between two postures, (6,) [rad]."""
     largest = 0.0
     for i in range(6):
         largest = max(largest, abs(a[i] - b[i]))
@@ -243,13 +243,13 @@ def largest_turn(a: FloatArray, b: FloatArray) -> float:
 
 
 class ArmMotion:
-    """The reference of one arm, advanced in time with the physics."""
+    """The joint reference of one arm, advanced in step with the physics."""
 
     def __init__(self, scene: Scene, robot: RobotIndex) -> None:
         """Start at the arm's present joint angles, at rest.
 
         Args:
-            scene: The world.
+            scene: The compiled scene.
             robot: The arm to move.
         """
         self.scene = scene
@@ -259,7 +259,7 @@ class ArmMotion:
         self._lag_s = robot.arm.lag_s
         self._servos, self._gripper = robot.ctrl.start, robot.gripper_ctrl
         self.measured: FloatArray = scene.data.qpos[robot.qpos]
-        """Joint angles in the physics, (6,) [rad]: a view."""
+        """Simulated joint angles, (6,) [rad]: a view of ``qpos``."""
         envelope = envelope_of(robot.arm.name)
         self.joint_range = limits = np.array(robot.arm.joint_range)
         model = ArmModel(
@@ -277,7 +277,7 @@ class ArmMotion:
         self.state: FloatArray = np.zeros((2, 6))
         self.opening_m = FINGER_OPENING_M
         self.pace = 1.0
-        """How fast its time goes: 0.5 is half as fast as usual."""
+        """Speed of the reference: 0.5 is half of the usual speed."""
         self.park = np.array(park_joints(robot.arm.name))
         goal = ArmTarget(np.zeros(3), np.eye(3), self.park, 0.0, 1.0)
         self.workspace = Workspace()
@@ -287,30 +287,30 @@ class ArmMotion:
         self.sync()
 
     def sync(self) -> None:
-        """Take the measured joint angles as the reference, at rest."""
+        """Set the reference to the measured joint angles, at rest."""
         self.state[0] = self.measured
         self.state[1] = 0.0
 
     def hold(self) -> None:
-        """Stay where the reference is."""
+        """Set the reference's present posture as goal."""
         goal = self.workspace.record[0]["goal"]
         goal["posture"], goal["target_weight"] = self.state[0], 0.0
 
     def set_obstacles(self, obstacles: FloatArray) -> None:
-        """Set what to keep clear of: capsules and range, (n, 8) [m]."""
+        """Set the obstacles: both ends, radius and range of capsules, (n, 8) [m]."""
         self.obstacles = np.ascontiguousarray(obstacles)
 
     def solve_posture(self, pose: FloatArray) -> FloatArray | None:
         """Return the joint angles nearest to the reference that reach a gripper pose.
 
-        The arm keeps the branch in which it waits, where it can: changing the elbow,
-        the shoulder or the wrist on the way sweeps it through objects and itself.
+        The kinematic branch of the park posture is preferred: a change of branch on the
+        way sweeps the arm through objects and through itself.
 
         Args:
-            pose: World from gripper at the tool centre point, (4, 4).
+            pose: World from gripper at the tool centre point, (4, 4) [m].
 
         Returns:
-            (6,) [rad], or None where the arm cannot be.
+            (6,) [rad], or None if there is no solution.
         """
         dh, limit, links, capsules = ik_constants(self.robot.arm.name)
         base, posture = self.robot.world_from_base, np.empty(6)
@@ -321,7 +321,7 @@ class ArmMotion:
         return posture if found else None
 
     def aim(self, pose: FloatArray, posture: FloatArray | None = None) -> None:
-        """Set the pose, (4, 4), that the tool centre point shall go to."""
+        """Set the target, world from gripper at the tool centre point, (4, 4) [m]."""
         if posture is None:
             posture = self.state[0]
         _set_goal(self.workspace.record, pose, posture, 1.0)
@@ -329,21 +329,21 @@ class ArmMotion:
     def aim_down(
         self, x: float, y: float, z: float, yaw: float, posture: FloatArray | None
     ) -> None:
-        """Aim at a gripper that points straight down at x, y, z [m], yaw [rad]."""
+        """Set as target a gripper that points down at x, y, z [m], with yaw [rad]."""
         if posture is None:
             posture = self.state[0]
         _aim_down(self.workspace.record, x, y, z, yaw, posture)
 
     def follow_posture(self, posture: FloatArray) -> None:
-        """Go to joint angles, (6,) [rad]."""
+        """Set joint angles, (6,) [rad], as the only goal."""
         _set_goal(self.workspace.record, _NOWHERE, posture, 0.0)
 
     def lead(self, commands: FloatArray) -> None:
         """Advance the reference by some physics steps.
 
         Args:
-            commands: Commands of all servos before each step, (n, nu);
-                this arm's are written.
+            commands: Commands of all servos before each of n steps, (n, nu)
+                [rad, m]; the columns of this arm are written.
         """
         space = self.workspace
         _lead_servos(
@@ -363,13 +363,13 @@ class ArmMotion:
         return _tcp(self._dh, self._base, self.measured)
 
     def reference_pose(self) -> FloatArray:
-        """Return where the reference puts the tool centre point, (4, 4)."""
+        """Return world from gripper at the reference's tool centre point, (4, 4)."""
         return _tcp(self._dh, self._base, self.state[0])
 
     def aim_pose(self) -> FloatArray:
-        """Return where the tool centre point is being led, world from gripper (4, 4).
+        """Return the target, world from gripper at the tool centre point, (4, 4) [m].
 
-        That is the pose that was aimed at last, or the one of a posture to go to.
+        If the goal is a posture, it is the pose at that posture.
         """
         goal = self.workspace.record[0]["goal"]
         if goal["target_weight"] <= 0.0:
@@ -379,7 +379,7 @@ class ArmMotion:
         return pose
 
     def error(self, pose: FloatArray) -> tuple[float, float]:
-        """Return how far the measured tool centre point is from a pose, (4, 4).
+        """Return the error of the measured tool centre point from a pose, (4, 4) [m].
 
         Returns:
             Distance [m] and largest angle between the axes [rad].
@@ -387,11 +387,11 @@ class ArmMotion:
         return _pose_error(self._dh, self._base, self.measured, pose)
 
     def is_held_up(self) -> bool:
-        """Whether the arm is not where its servos should have it."""
+        """Return whether a joint lags more than its servo should: it is blocked."""
         return _is_held_up(self.measured, self.state, self._lag_s)
 
     def capsules(self, q: FloatArray | None = None) -> FloatArray:
-        """Return the space that the arm fills at ``q`` or now: capsules (n, 7) [m]."""
+        """Return the arm's capsules in the world at ``q`` or now, (n, 7) [m]."""
         envelope, placed = envelope_of(self.robot.arm.name), np.empty((7, 4, 4))
         at = self.measured if q is None else q
         frames(self._dh, self.robot.world_from_base, at, placed)

@@ -1,8 +1,8 @@
-"""Places that others have yet to clear: an arm keeps its load until they have.
+"""Places that another robot has yet to clear: an arm waits with its load until then.
 
-Orders are given for the state that all that is under way will leave behind. So a place
-may be chosen where a thing lies still, which another robot is about to take away. If
-that robot is late, an arm that got there first would put its load on top.
+Sub-tasks are chosen for the state after all running sub-tasks. So the place of a new
+sub-task may still be occupied by an object that another robot is about to remove.
+Without waiting, an arm that arrives first would put its load on top of that object.
 """
 
 from collections.abc import Mapping
@@ -18,38 +18,38 @@ from lemma.scene.objects.entity import kind_of
 
 NOTHING_LEAVES: Final[Mapping[str, str]] = MappingProxyType({})
 ROOM_M = 0.06
-"""A thing is in the way if its middle is nearer than this to where a load goes [m]."""
+"""An object occupies a place if its centre is nearer to it than this [m]."""
 _LYING_M = 0.03
-"""It still lies there if it is no higher than this over where it lay [m]."""
+"""An object lies on the table if it is less than this above its resting height [m]."""
 
 
 class Leaving:
-    """Things that robots at work take away, by the robot that needs their place."""
+    """Objects that busy robots remove, by the robot that needs their place."""
 
     def __init__(
         self, arms: Mapping[str, ArmMotion], reservations: Reservations
     ) -> None:
-        """Let everybody put things wherever they are told.
+        """Start without such places.
 
         Args:
             arms: Motion of every robot of the scene, by robot name.
-            reservations: Of the same arms.
+            reservations: Reservations of the same arms.
         """
         self._scene = next(iter(arms.values())).scene
         self._reservations = reservations
         self._takers: dict[str, Mapping[str, str]] = {}
 
     def note(self, robot: str, takers: Mapping[str, str]) -> None:
-        """Note what must be gone before a robot puts its load down.
+        """Set the objects that must be gone before a robot puts its load down.
 
         Args:
-            robot: Which begins a sub-task.
-            takers: The robot that takes each thing away, by the thing.
+            robot: The robot that begins a sub-task.
+            takers: For each such object, the robot that removes it.
         """
         self._takers[robot] = takers
 
     def is_occupied(self, robot: str, place: Pose2) -> bool:
-        """Whether a thing lies at a place still, and its taker is at work."""
+        """Return whether an object still lies at a place and its remover is busy."""
         return any(
             self._reservations.is_at_work(taker) and self._lies(thing, place)
             for thing, taker in self._takers.get(robot, {}).items()
@@ -61,7 +61,7 @@ class Leaving:
         return away < ROOM_M and z - kind_of(thing).origin_m < _LYING_M
 
     def wait_at_home(self, arm: ArmMotion, place: Pose2) -> Motion:
-        """Take home what an arm holds, and wait there until a place is free."""
+        """Go home with the held object, and wait there until a place is free."""
         name = arm.robot.name
         self._reservations.ask_for_home(name)
         arm.follow_posture(arm.park)

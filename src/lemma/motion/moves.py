@@ -1,7 +1,7 @@
 """Elementary motions of one arm: to a waypoint, along a line, grasp, release, park.
 
-Each is a generator that hands control back once a servo tick, and raises
-:class:`SkillFailure` where it cannot go on.
+Each motion is a generator that yields once per servo tick and raises
+:class:`SkillFailure` if it cannot continue.
 """
 
 import math
@@ -24,12 +24,13 @@ from lemma.robots.ur.kinematics import top_down
 
 Motion = Generator[None, None, None]
 Stand = tuple[float, float, float, float]
-"""Where a gripper that points down stands: x, y, z [m] and yaw [rad]."""
+"""Pose of a gripper that points down: x, y, z of the tool centre point [m], yaw [rad].
+"""
 
 RETREAT_M = 0.13
-"""How far the gripper rises before the arm swings away."""
+"""Height by which the gripper rises before the arm swings away."""
 FLY_BY_M = 0.03
-"""How near a waypoint is near enough when the arm does not stop there."""
+"""Tolerance of a waypoint at which the arm does not stop."""
 
 _VERTICAL_M_S = 0.5
 _TOUCHDOWN_M = 0.03
@@ -47,10 +48,10 @@ _TIMEOUT_S = 7.0
 _STALL_S = 1.0
 _STALL_PROGRESS_M = 0.001
 _GRASP_LEAST_M = 0.015
-"""Narrower than this the fingers hold nothing that exists here."""
+"""Opening below which the fingers hold no object: all objects are wider."""
 _OPEN_M = FINGER_OPENING_M - 0.005
 _HELD_UP_M = 0.05
-"""A hand that stays so far behind where it is led has met something."""
+"""Lag of the gripper behind its target that indicates contact with an obstacle."""
 _FINGERS_STILL_M = 2e-5
 _FINGERS_STILL_S = 0.05
 _SETTLE_S = 0.15
@@ -62,13 +63,18 @@ class Moves:
     """Motions of one arm."""
 
     def __init__(self, arm: ArmMotion) -> None:
-        """Keep the arm."""
+        """Move the given arm."""
         self.arm = arm
         self.scene = arm.scene
         self._name = arm.robot.name
 
     def check_reach(self, stand: Stand, what: str) -> None:
-        """Fail where the arm cannot stand; ``what`` says what for."""
+        """Raise ``UNREACHABLE`` if the arm cannot reach a stand.
+
+        Args:
+            stand: The pose of the gripper.
+            what: Its role in the explanation, such as ``"pick"``.
+        """
         if self.arm.solve_posture(top_down(*stand)) is None:
             raise SkillFailure(
                 Outcome.UNREACHABLE,
@@ -78,7 +84,7 @@ class Moves:
             )
 
     def grasp(self, over: Stand, low: Stand) -> Motion:
-        """Come from above, go straight down and close the fingers."""
+        """Approach ``over``, go straight down to ``low``, and close the fingers."""
         self.arm.opening_m = FINGER_OPENING_M
         yield from self.to(over, fly_by=True)
         yield from self.lower(low)
@@ -96,7 +102,7 @@ class Moves:
         yield from self.rise(stand, stand[2] + RETREAT_M)
 
     def wait_for_fingers(self) -> Motion:
-        """Wait until the fingers stand still, at most a second."""
+        """Wait until the fingers do not move, at most 1 s."""
         last = self.scene.opening_m(self.arm.robot)
         still = 0.0
         for _ in range(100):
@@ -108,7 +114,7 @@ class Moves:
                 break
 
     def check_held(self) -> None:
-        """Fail where the fingers have nothing between them."""
+        """Raise ``DROPPED`` if no object is between the fingers."""
         if self.scene.opening_m(self.arm.robot) < _GRASP_LEAST_M:
             raise SkillFailure(Outcome.DROPPED, f"What {self._name} held slipped away.")
 
@@ -119,9 +125,9 @@ class Moves:
 
         Args:
             stand: The waypoint.
-            fly_by: Near is enough: the arm does not slow down.
-            contact: The held object is put down: the pose is exact to a millimetre, and
-                that it touches the support a little early ends the motion well.
+            fly_by: Pass within :data:`FLY_BY_M` without slowing down.
+            contact: Put the held object down: the tolerance is 1 mm, and early contact
+                with the support also ends the motion with success.
         """
         x, y, z, _ = stand
         pose = top_down(*stand)
@@ -157,10 +163,10 @@ class Moves:
         )
 
     def swing(self, posture: FloatArray) -> Motion:
-        """Turn the base towards a far waypoint first.
+        """Turn the base towards a far waypoint first, along a line in joint space.
 
-        A straight line of the tool may pass over the arm's own base, where the arm
-        would have to fold; one in joint space keeps the gripper pointing down.
+        A straight line in task space may pass over the arm's own base, where the arm
+        would have to fold. In joint space the gripper keeps pointing down.
         """
         self.arm.follow_posture(posture)
         for _ in range(_TICKS):
@@ -173,10 +179,10 @@ class Moves:
         )
 
     def along(self, start: Stand, end: Stand, speed_m_s: float) -> Motion:
-        """Lead the target along a straight line; the tool follows closely behind.
+        """Move the target along a straight line; the tool follows closely behind.
 
-        Left to itself RMPflow reaches a waypoint on whatever curve suits the joints.
-        Where objects stand close, or a cube is being pushed, the way matters too.
+        With a fixed target, RMPflow takes a curved path. A straight one is needed close
+        to objects, and to push a cube.
         """
         length = math.dist(start[:3], end[:3])
         ticks = max(1, round(length / speed_m_s / _TICK_S))
@@ -192,11 +198,11 @@ class Moves:
             yield
 
     def lower(self, stand: Stand, *, contact: bool = False) -> Motion:
-        """Go straight down to a waypoint and arrive there."""
+        """Go straight down to a waypoint and stop there."""
         height = float(self.arm.reference_pose()[2, 3])
         above = _at_height(stand, max(height, stand[2]))
         if contact:
-            # An object that is put down fast sinks in or bounces.
+            # An object that is put down fast penetrates the support or bounces.
             gently = _at_height(stand, min(above[2], stand[2] + _TOUCHDOWN_M))
             yield from self.along(above, gently, _VERTICAL_M_S)
             above = gently
@@ -210,7 +216,7 @@ class Moves:
         yield from self.along(stand, above, _VERTICAL_M_S)
 
     def fall_back(self, pose: FloatArray) -> Motion:
-        """Leave RMPflow: a collision-checked joint path from inverse kinematics."""
+        """Follow a collision-checked joint path to a pose instead of RMPflow."""
         path = joint_path(self.arm, pose, self.arm.obstacles)
         if path is None:
             raise SkillFailure(
@@ -221,7 +227,7 @@ class Moves:
         yield from self.follow(path)
 
     def follow(self, path: FloatArray) -> Motion:
-        """Lead the reference along joint configurations, (n, 6), one per tick."""
+        """Move the reference along a joint path, (n, 6) [rad], one row per tick."""
         for i in range(len(path)):
             self.arm.state[0] = path[i]
             self.arm.state[1] = 0.0
@@ -232,18 +238,18 @@ class Moves:
             yield
 
     def check_tracking(self) -> None:
-        """Fail where the arm is not where its servos should have it."""
+        """Raise ``COLLISION`` if a joint lags more than its servo should."""
         if self.arm.is_held_up():
             raise SkillFailure(
                 Outcome.COLLISION, f"{self._name} was stopped by something."
             )
 
     def is_full(self) -> bool:
-        """Whether the fingers are neither closed nor open, so that they may hold."""
+        """Return whether the fingers are neither closed nor open: they may hold."""
         return _GRASP_LEAST_M <= self.scene.opening_m(self.arm.robot) < _OPEN_M
 
     def give_up(self) -> Motion:
-        """Put down what is held where the arm is, and rise, so that parking is safe."""
+        """Put the held object down here, and rise, so that parking is safe."""
         self.arm.sync()
         self.arm.hold()
         holds = self.is_full()
@@ -258,7 +264,7 @@ class Moves:
         yield from self.rise_from_here(TRAVEL_HEIGHT_M)
 
     def rise_from_here(self, height_m: float) -> Motion:
-        """Let the hand rise to a height [m] as it is, for a second at most."""
+        """Raise the gripper to a height [m] in its present orientation, 1 s at most."""
         pose = self.arm.tcp_pose()
         pose[2, 3] = max(pose[2, 3], height_m)
         self.arm.aim(pose)
@@ -268,7 +274,7 @@ class Moves:
             yield
 
     def _straight(self, height_m: float, speed_m_s: float) -> Motion:
-        """Lead the hand straight down or up, until it meets something at the latest."""
+        """Move the gripper straight down or up; stop at contact."""
         pose = self.arm.tcp_pose()
         x, y, z = (float(pose[i, 3]) for i in range(3))
         yaw = math.atan2(pose[1, 0], pose[0, 0])
@@ -282,7 +288,7 @@ class Moves:
             yield
 
     def park(self) -> Motion:
-        """Go to where the arm waits."""
+        """Go to the park posture."""
         self.arm.opening_m = FINGER_OPENING_M
         park = self.arm.park
         self.arm.follow_posture(park)
@@ -294,7 +300,7 @@ class Moves:
 
 
 def between(start: Stand, end: Stand, distance_m: float) -> Stand:
-    """Return the waypoint that lies a distance along the way."""
+    """Return the waypoint at a distance [m] along the line from start to end."""
     t = min(1.0, distance_m / max(math.dist(start[:3], end[:3]), 1e-9))
     x, y, z, yaw = (a + t * (b - a) for a, b in zip(start, end, strict=True))
     return (x, y, z, yaw)
@@ -307,7 +313,8 @@ def _at_height(stand: Stand, z: float) -> Stand:
 _CLEARANCE_M = 0.01
 _SLACK_M = 1e-4
 _SPEED_FRACTION = 0.4
-"""Of each joint's velocity limit: a line in joint space may sweep far in the world."""
+"""Fraction of the joints' velocity limits on lines in joint space, which may move the
+gripper far."""
 _TICK_S = 0.01
 _CHECK_RAD = 0.05
 
@@ -317,12 +324,12 @@ def joint_path(
 ) -> FloatArray | None:
     """Find a joint path from the reference to a gripper pose.
 
-    Every inverse-kinematics branch is tried, nearest first, directly and through the
-    arm's waiting posture.
+    All branches of inverse kinematics are tried, nearest first, directly and through
+    the park posture.
 
     Args:
         arm: The arm.
-        pose: World from gripper at the tool centre point, (4, 4).
+        pose: World from gripper at the tool centre point, (4, 4) [m].
         obstacles: Capsules, (n, 7) or wider [m].
 
     Returns:
@@ -346,10 +353,10 @@ def joint_path(
 def _is_free(
     arm: ArmMotion, start: FloatArray, end: FloatArray, obstacles: FloatArray
 ) -> bool:
-    """Whether the arm keeps clear all along a line.
+    """Return whether the arm keeps its clearance along a line in joint space.
 
-    An arm that stalls near something starts out too close to it; that is forgiven as
-    long as it does not come closer.
+    The required clearance is no larger than at the start: an arm that stalled near an
+    obstacle may leave, but must not come closer.
     """
     span = float(np.abs(end - start).max())
     steps = max(2, math.ceil(span / _CHECK_RAD))
@@ -363,7 +370,7 @@ def _is_free(
 
 
 def _clearance(arm: ArmMotion, q: FloatArray, obstacles: FloatArray) -> float:
-    """Return how far an arm is from itself, the table and the obstacles [m]."""
+    """Return the smallest gap of an arm to itself, the table and the obstacles [m]."""
     capsules = arm.capsules(q)
     least = min(self_clearance(capsules) + _CLEARANCE_M, table_clearance(capsules))
     if len(obstacles):
@@ -372,9 +379,9 @@ def _clearance(arm: ArmMotion, q: FloatArray, obstacles: FloatArray) -> float:
 
 
 def _time(arm: ArmMotion, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return a smooth motion along a line: zero speed at both ends."""
+    """Return a smooth motion along a line, (n, 6) [rad], at rest at both ends."""
     limits = _SPEED_FRACTION * np.array(arm.robot.arm.velocity_limits)
-    # A cubic ease peaks at 1.5 times its mean speed.
+    # The peak speed of a cubic profile is 1.5 times its mean speed.
     duration = 1.5 * float((np.abs(end - start) / limits).max())
     ticks = max(2, math.ceil(duration / _TICK_S))
     t = np.arange(1, ticks + 1) / ticks

@@ -17,8 +17,8 @@ from lemma.scene.scene import Scene
 _ARM_RANGE_M = 0.15
 _OBJECT_RANGE_M = 0.05
 _WORK_AREA_M = 0.16
-"""Nearer to the target than this the gripper comes straight from above, between the
-objects that stand there; pushing it sideways would make it miss."""
+"""Radius around the target within which objects are no obstacles: the gripper comes
+straight from above, between them, and their repulsion would make it miss."""
 
 _ARM = np.dtype(
     [
@@ -31,7 +31,7 @@ _ARM = np.dtype(
 )
 _THING = np.dtype(
     [
-        # Where its pose is in ``data.qpos``, or -1 and ``pose``.
+        # Address of its pose in ``data.qpos``; -1 for a fixed object, with ``pose``.
         ("qpos", np.int64),
         ("pose", np.float64, 7),
         ("name", np.int64),
@@ -41,13 +41,13 @@ _THING = np.dtype(
 
 
 class Obstacles:
-    """Obstacles of the arms of one scene, wherever they are at present."""
+    """Obstacles of the arms of one scene, at their present positions."""
 
     def __init__(self, arms: Mapping[str, ArmMotion]) -> None:
-        """Keep the shapes of arms and objects.
+        """Collect the capsules of arms and objects.
 
         Args:
-            arms: All arms of the scene.
+            arms: Motion of every robot of the scene, by robot name.
         """
         scene = next(iter(arms.values())).scene
         self._qpos = scene.data.qpos
@@ -63,7 +63,7 @@ class Obstacles:
         rows = 10 * (len(self._arms) - 1) + len(self._things)
         self._rows = np.empty((len(self._arms), rows, 8))
         self.felt: dict[str, tuple[Pose2 | None, str | None]] = {}
-        """Target and held object that each robot's obstacles leave out."""
+        """Target and held object that are left out of each robot's obstacles."""
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
         """Set the obstacles of an arm; see :meth:`around`."""
@@ -74,13 +74,14 @@ class Obstacles:
         """Return the obstacles of one arm.
 
         Args:
-            robot: The arm that will move; it is no obstacle to itself.
-            target: Where it will work, if anywhere; the object there is left out.
-            held: The object that it holds or will pick up; left out.
+            robot: The robot that moves; its own arm is left out.
+            target: Where it will work; objects near it are left out. None: nowhere.
+            held: The object that it holds or will pick up, which is left out.
 
         Returns:
-            Capsules with the range in which they are felt, (n, 8) [m], valid until the
-            next call for this arm.
+            Both ends, radius and range of capsules, (n, 8) [m]. Beyond its range an
+            obstacle has no effect. The array is valid until the next call for this
+            robot.
         """
         me = self._numbers[robot]
         x, y = (math.inf, math.inf) if target is None else target.xy
@@ -97,7 +98,7 @@ def _arm_record(arm: ArmMotion) -> tuple[object, ...]:
 
 
 def _records(scene: Scene, name: str, number: int) -> list[tuple[object, ...]]:
-    """Return the capsules that stand for an object, upright as it stood."""
+    """Return the records of an object's capsules."""
     address = scene.qpos_of(name)
     pose = scene.pose_row(name)
     return [
@@ -117,16 +118,16 @@ def _gather(  # noqa: PLR0913 - one call is what makes it fast
     y: float,
     out: FloatArray,
 ) -> int:
-    """Write the obstacles of an arm to ``out``, (n, 8) [m]; returns how many.
+    """Write the obstacles of an arm to ``out``, (n, 8) [m]; return their number.
 
     Args:
-        qpos: Of the scene.
-        arms: Shapes of all arms.
-        things: Shapes of all objects.
-        me: The arm.
-        lifted: Number of the object that it holds, or -1.
-        x: Where it works [m]; infinite where it does not.
-        y: The same.
+        qpos: MuJoCo's ``qpos`` of the scene.
+        arms: Records of all arms.
+        things: Records of the capsules of all objects.
+        me: Index of the arm.
+        lifted: Index of the object that it holds, or -1.
+        x: World x of its target [m]; infinite without one.
+        y: World y of its target [m]; infinite without one.
         out: Written.
     """
     count, placed, pose = 0, np.empty((7, 4, 4)), np.empty(7)
@@ -162,7 +163,7 @@ def _gather(  # noqa: PLR0913 - one call is what makes it fast
 
 @kernel
 def _gap(capsule: FloatArray, x: float, y: float) -> float:
-    """Return the horizontal distance between a capsule's axis and a place [m]."""
+    """Return the horizontal distance between a capsule's axis and a position [m]."""
     ax, ay = capsule[0], capsule[1]
     dx, dy = capsule[3] - ax, capsule[4] - ay
     length = dx * dx + dy * dy

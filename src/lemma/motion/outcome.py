@@ -1,60 +1,60 @@
-"""How a sub-task ended, and why."""
+"""Outcomes of sub-tasks."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Outcome(StrEnum):
-    """The ways in which executing a sub-task can end."""
+    """The outcome of the execution of a sub-task."""
 
     SUCCESS = "success"
-    """The motion was carried out. Whether it served the goal is another matter."""
+    """The motion was carried out. This does not mean that it serves the goal."""
     STOPPED = "stopped"
-    """The policy said ``stop``."""
+    """The policy returned ``stop``."""
     INVALID = "invalid"
-    """The sub-task makes no sense: an unknown entity, hooking with a cube. Or it does,
-    and the policy found no pose for it."""
+    """The sub-task is invalid, such as one with an unknown entity, or hooking with a
+    cube; or the policy found no pose for it."""
     UNREACHABLE = "unreachable"
-    """The robot's arm cannot get there."""
+    """The robot's arm cannot reach a pose of the sub-task."""
     NOTHING_TO_PICK = "nothing_to_pick"
-    """There is nothing graspable where the gripper should close."""
+    """There is no object at the pick pose that the gripper can grasp."""
     MISSED_GRASP = "missed_grasp"
-    """The fingers closed on nothing."""
+    """The fingers closed without an object between them."""
     DROPPED = "dropped"
     """The held object was lost, or an object fell off the table."""
     FALLEN = "fallen"
-    """An object that it needs has fallen off the table before."""
+    """An object that it needs had fallen off the table before."""
     THROWN = "thrown"
-    """An object flew, or moved on by itself; the episode has failed. See
+    """An object flew, or kept moving without a robot; the episode has failed. See
     :mod:`lemma.scene.coasting`."""
     RULE = "rule"
     """The rule of the goal was broken; the episode has failed. See
     :mod:`lemma.tasks.teams.rule`."""
     COLLISION = "collision"
-    """Something was in the way."""
+    """An obstacle blocked the arm."""
     TIMEOUT = "timeout"
-    """The motion did not end in time."""
+    """A motion exceeded its time limit."""
     DEADLOCK = "deadlock"
-    """Robots at work at the same time waited for each other, or one for too long."""
+    """Busy robots waited for each other, or one of them waited too long."""
     OUT_OF_TIME = "out_of_time"
-    """The episode's time was over."""
+    """The episode's time ran out."""
 
 
 REFUSED = frozenset(
     {Outcome.INVALID, Outcome.UNREACHABLE, Outcome.NOTHING_TO_PICK, Outcome.FALLEN}
 )
-"""Ends of what a robot cannot do: a real arm would stop for its protection."""
+"""Outcomes of infeasible sub-tasks: a real arm would make a protective stop."""
 
 
 @dataclass(frozen=True, slots=True)
 class SkillResult:
-    """How one grounded sub-task went."""
+    """The result of one grounded sub-task."""
 
     outcome: Outcome
     explanation: str
-    """One sentence for a person."""
+    """One sentence for humans."""
     duration_s: float
-    """Simulated time that it took [s]."""
+    """Simulated duration [s]."""
 
     @property
     def ok(self) -> bool:
@@ -63,20 +63,20 @@ class SkillResult:
 
     @property
     def refused(self) -> bool:
-        """Whether the robot could not do it at all."""
+        """Whether the sub-task was infeasible for the robot."""
         return self.outcome in REFUSED
 
 
 def has_fallen(entity: str) -> str:
-    """Return why nothing can be done with an object that is on the floor."""
+    """Return the explanation for an object that has fallen off the table."""
     return f"The {entity} has fallen off the table, where nobody reaches it."
 
 
 class SkillFailure(Exception):
-    """Raised inside a skill to end it; the skill turns it into a result."""
+    """Ends a skill; :meth:`.SkillRunner.run` turns it into a result."""
 
     def __init__(self, outcome: Outcome, explanation: str) -> None:
-        """Keep the outcome and its explanation."""
+        """Store the outcome and its explanation, one sentence."""
         super().__init__(explanation)
         self.outcome = outcome
         self.explanation = explanation

@@ -1,16 +1,16 @@
-"""Reservations: the sectors of the table that arms sweep, one holder each.
+"""Reservations: exclusive sectors of the table that arms sweep.
 
-Before a stage of a sub-task begins, its arm reserves all that it will sweep: from where
-its hand is, as its base turns, to where it will work, and on to where it waits. Sectors
-never overlap, so an arm whose sector is taken waits where it is. One that goes home
-gives up what it has left behind.
+Before a stage of a sub-task begins, its arm reserves all cells that it will sweep, from
+its present position over its targets to its park posture ("home"). Sectors of two arms
+never overlap: if a part is reserved already, the arm waits where it is. An arm on its
+way home releases the cells that it has passed.
 
-An arm may hold one sector and wait for another, so arms may wait for each other in a
-circle. Then the one that began last takes home what it carries, which it can always do:
-its way home is part of what it holds. There it holds nothing, and what it reserves next
-takes it to the end of its sub-task. So each retreats at most once, and some arm can go
-on. A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as ``deadlock``. An arm
-that is free but not at home holds its way home (:mod:`lemma.motion.staying`).
+An arm may hold one sector and wait for another, so a cycle of waiting arms (deadlock)
+is possible. Then the arm that began last carries its load home; its sector always
+includes the way there. At home it holds no sector, and its next reservation covers the
+rest of its sub-task. So each arm retreats at most once, and one arm can always proceed.
+A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as ``deadlock``. A free arm
+that is not at home holds its way home (:mod:`lemma.motion.staying`).
 """
 
 import math
@@ -30,19 +30,19 @@ from lemma.robots.ur.kinematics import frames, top_down
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
 Cells = npt.NDArray[np.bool_]
-"""Cells of the grid over the table, (n,)."""
+"""A set of cells of the grid over the table, (n,)."""
 
 MARGIN_M = 0.17
-"""Kept free to each side of the line from a base to its hand. With 0.10 m two of twenty
-pairs of arms touched: elbow and wrist do not lie on that line."""
+"""Margin on each side of the line from base to gripper. With 0.10 m two of twenty pairs
+of arms touched, because elbow and wrist are beside that line."""
 BEYOND_M = 0.12
-"""Kept free beyond the hand."""
+"""Margin beyond the gripper."""
 BEYOND_STICK_M = 0.85
-"""The same for a hand that holds the stick."""
+"""Margin beyond a gripper that holds the stick."""
 PATIENCE_S = 0.5
-"""A circle of arms that wait for each other is broken after this."""
+"""Time after which a cycle of waiting arms is resolved."""
 LONGEST_WAIT_S = 60.0
-"""An arm waits for others at most so long."""
+"""Longest time that an arm waits for others."""
 
 _CELL_M = 0.05
 _ACROSS, _DEEP = (
@@ -52,7 +52,7 @@ _CELLS = _ACROSS * _DEEP
 
 
 def cell_at(x: float, y: float) -> int | None:
-    """Return the index of the cell at a place [m]; None beside the table."""
+    """Return the index of the cell at a position [m]; None outside the table."""
     column = math.floor(x / _CELL_M) + _ACROSS // 2
     row = math.floor(y / _CELL_M) + _DEEP // 2
     inside = 0 <= column < _ACROSS and 0 <= row < _DEEP
@@ -60,10 +60,10 @@ def cell_at(x: float, y: float) -> int | None:
 
 
 class Verdict(Enum):
-    """Told to an arm that waits in a circle."""
+    """Order to an arm that has waited too long, or waits in a cycle."""
 
     RETREAT = "retreat"
-    """Go home with what is held, and wait there."""
+    """Go home with the held object, and wait there."""
     FAIL = "fail"
     """End the sub-task."""
 
@@ -77,46 +77,46 @@ class Wait:
     holders: tuple[str, ...]
     """Robots that hold a part of the sector."""
     cells: Cells
-    """The sector, as it was when it was computed last."""
+    """The sector, as computed last."""
     verdict: Verdict | None = None
 
 
 @dataclass(slots=True)
 class _Holder:
-    """All that an arm holds."""
+    """The reservation of one arm."""
 
     cells: Cells
     stops: FloatArray
-    """Where it stops on its way, see :func:`_clip`; the last one is home."""
+    """Stops on its way, see :func:`_clip`; the last one is home."""
     beyond_m: float
     stays: bool = False
-    """Whether its robot stays where it is, and has not moved since."""
+    """Whether its robot is free and has not moved since."""
 
     @property
     def goes_home(self) -> bool:
-        """Whether it has no more work."""
+        """Whether the arm has no more targets."""
         return len(self.stops) == 1 and not self.stays
 
 
 @dataclass(slots=True)
 class WaitingTimes:
-    """How long arms waited for others, and how that was resolved."""
+    """Waiting times of arms, with the numbers of retreats and deadlocks."""
 
     waited_s: dict[str, float] = field(default_factory=dict)
-    """By robot [s]."""
+    """Total waiting time by robot [s]."""
     retreats: int = 0
     deadlocks: int = 0
 
     def copy(self) -> "WaitingTimes":
-        """Return the same numbers, which nobody else changes."""
+        """Return an independent copy."""
         return WaitingTimes(dict(self.waited_s), self.retreats, self.deadlocks)
 
 
 class Reservations:
-    """Sectors of the arms of one scene, by robot."""
+    """Sectors that the arms of one scene hold or wait for, by robot."""
 
     def __init__(self, arms: Mapping[str, ArmMotion]) -> None:
-        """Reserve nothing yet.
+        """Start without reservations.
 
         Args:
             arms: Motion of every robot of the scene, by robot name.
@@ -125,7 +125,7 @@ class Reservations:
         self._scene = next(iter(arms.values())).scene
         self._holders: dict[str, _Holder] = {}
         self.waits: dict[str, Wait] = {}
-        """Robots that wait, and for whom."""
+        """Waiting robots, with the robots that they wait for."""
         self.times = WaitingTimes()
         self._stuck_s: float | None = None
 
@@ -135,30 +135,30 @@ class Reservations:
         return {name: holder.cells for name, holder in self._holders.items()}
 
     def is_alone(self, robot: str) -> bool:
-        """Whether no other robot holds a sector."""
+        """Return whether no other robot holds a sector."""
         return self._holders.keys() <= {robot}
 
     def is_at_work(self, robot: str) -> bool:
-        """Whether a robot holds a sector for a sub-task, or waits for one."""
+        """Return whether a robot holds a sector for a sub-task, or waits for one."""
         holds = robot in self._holders and not self._holders[robot].stays
         return holds or robot in self.waits
 
     def ask(self, robot: str, goals: Sequence[Pose2], *, stick: bool = False) -> bool:
-        """Reserve what an arm sweeps from where it is, in place of what it holds.
+        """Replace an arm's sector by that from its present position over goals to home.
 
         Args:
-            robot: The arm.
-            goals: Where it will work, in this order; from the last one it goes home.
-            stick: Whether it holds the stick, which reaches far beyond the hand.
+            robot: The robot.
+            goals: Poses at which it will work, in this order.
+            stick: Whether it holds the stick, which reaches far beyond the gripper.
 
         Returns:
-            Whether it has the sector now. If not, it keeps what it held, and
-            :attr:`waits` says for whom it waits.
+            Whether the robot has the new sector. If not, it keeps the old one, and
+            :attr:`waits` has an entry for it.
         """
         wait = self.waits.get(robot)
         moves = robot in self._holders and self._holders[robot].goes_home
         if wait is not None and not moves:
-            # It stands still, so its sector is what it was.
+            # The arm does not move, so its sector is unchanged.
             wait.holders = self._holders_of(wait.cells, robot)
             if wait.holders:
                 return False
@@ -185,12 +185,12 @@ class Reservations:
         )
 
     def is_going_home(self, robot: str) -> bool:
-        """Whether an arm has no more work in its sub-task, and does not wait."""
+        """Return whether an arm has no more targets and does not wait."""
         held = self._holders.get(robot)
         return held is not None and held.goes_home and robot not in self.waits
 
     def ask_for_home(self, robot: str) -> bool:
-        """Reserve an arm's way home, which whoever holds a sector has already."""
+        """Reserve an arm's way home; every sector that is held already includes it."""
         if robot not in self._holders:
             return self.ask(robot, ())
         self._send_home(robot)
@@ -202,10 +202,10 @@ class Reservations:
         held.stops, held.stays = held.stops[-1:], False
 
     def stay(self, robot: str, *, stick: bool = False) -> None:
-        """Hold an arm's way home from where it stays, but for what others hold.
+        """Reserve the way home of an arm that stays, except cells that others hold.
 
         Args:
-            robot: The arm.
+            robot: The robot.
             stick: Whether it holds the stick.
         """
         self._end_wait(robot)
@@ -220,18 +220,18 @@ class Reservations:
         self._holders[robot].stays = True
 
     def give_up(self, robot: str) -> None:
-        """Give up what an arm holds, though it may wait on."""
+        """Release an arm's sector; if it waits, it goes on waiting."""
         self._holders.pop(robot, None)
 
     def release(self, robot: str) -> None:
-        """Give up all that an arm holds and waits for."""
+        """Release an arm's sector and end its wait."""
         self.give_up(robot)
         self._end_wait(robot)
         if not self._holders:
             self._stuck_s = None
 
     def clear(self, times: WaitingTimes) -> None:
-        """Reserve nothing any more, and go on counting from some times."""
+        """Remove all reservations; continue to count from the given times."""
         self._holders, self.waits, self._stuck_s = {}, {}, None
         self.times = times.copy()
 
@@ -242,16 +242,16 @@ class Reservations:
             waited[robot] = waited.get(robot, 0.0) + self._scene.time_s - wait.since_s
 
     def follow(self) -> None:
-        """Give up what arms that move have left behind."""
+        """Release the cells that moving arms have passed."""
         for robot, held in self._holders.items():
             if robot not in self.waits or held.goes_home:
                 self._clip(robot, held.stops, held.beyond_m, held.cells)
 
     def judge(self, order: Sequence[str]) -> None:
-        """Break circles of arms that wait for each other, and waits without end.
+        """Resolve cycles of waiting arms, and end waits that are too long.
 
         Args:
-            order: Busy robots, by the time at which their sub-tasks began.
+            order: Busy robots, in the order in which their sub-tasks began.
         """
         now = self._scene.time_s
         for wait in self.waits.values():
@@ -273,10 +273,9 @@ class Reservations:
             self.times.deadlocks += verdict is Verdict.FAIL
 
     def _stuck(self, order: Sequence[str]) -> list[str]:
-        """Return those who hold something and wait for each other, to no end.
+        """Return the robots that hold a sector and wait for each other in cycles.
 
-        Those who have been told to go home, or have failed, will give up what they
-        hold.
+        Robots with a verdict are left out, because they will release their sectors.
         """
         stuck = [
             robot
@@ -292,7 +291,7 @@ class Reservations:
             stuck = left
 
     def _stops(self, robot: str, goals: Sequence[Pose2]) -> FloatArray:
-        """Return where an arm stops that works at goals and goes home."""
+        """Return the stops of an arm that works at goals and goes home, (k, 3)."""
         arm, stops = self._arms[robot], []
         turn = float(arm.state[0, 0])
         for goal in goals:
@@ -309,7 +308,7 @@ class Reservations:
     def _clip(
         self, robot: str, stops: FloatArray, beyond_m: float, cells: Cells
     ) -> None:
-        """Take away the cells that an arm does not sweep from where it is."""
+        """Remove the cells that an arm does not sweep from its present position."""
         arm = self._arms[robot]
         base = arm.robot.placement.base
         tcp, polar = arm.tcp_pose(), _polar(base.x, base.y)
@@ -327,17 +326,17 @@ def _clip(  # noqa: PLR0913 - one call is what makes it fast
     beyond_m: float,
     out: Cells,
 ) -> None:
-    """Take the cells out of ``out`` that an arm does not sweep on its way.
+    """Remove from ``out`` the cells that an arm does not sweep on its way.
 
     Args:
-        polar: Of the cells, see :func:`_polar`.
-        x: Of the base [m].
-        y: The same.
-        tcp: World from the tool centre point, (4, 4).
-        joint: Where the base is turned to [rad].
-        stops: x, y of the hand [m] and turn of the base [rad] at each, (k, 3).
-        beyond_m: Kept free beyond the hand [m].
-        out: Cells that were its own, (n,); written.
+        polar: Polar coordinates of the cells, see :func:`_polar`.
+        x: World x of the base [m].
+        y: World y of the base [m].
+        tcp: World from gripper at the tool centre point, (4, 4) [m].
+        joint: Present angle of the base joint [rad].
+        stops: World x, y of the gripper [m] and base joint angle [rad], (k, 3).
+        beyond_m: Margin beyond the gripper [m].
+        out: The arm's cells, (n,); written.
     """
     farthest = math.hypot(tcp[0, 3] - x, tcp[1, 3] - y)
     for i in range(stops.shape[0]):
@@ -345,8 +344,8 @@ def _clip(  # noqa: PLR0913 - one call is what makes it fast
     swept = np.zeros(out.shape[0], np.bool_)
     at = math.atan2(tcp[1, 3] - y, tcp[0, 3] - x)
     for i in range(stops.shape[0]):
-        # The hand is beside the plane of the arm, the more the nearer it is: a joint
-        # says which way round and a bearing how far.
+        # Bearing and base joint differ, because the gripper is beside the arm's plane.
+        # The bearings give the size of the turn, and the joint its number of turns.
         bearing = math.atan2(stops[i, 1] - y, stops[i, 0] - x)
         turn = bearing - at
         turn += math.tau * round((stops[i, 2] - joint - turn) / math.tau)
@@ -360,13 +359,13 @@ def _clip(  # noqa: PLR0913 - one call is what makes it fast
 def _sweep(
     polar: FloatArray, at: float, turn: float, farthest: float, out: Cells
 ) -> None:
-    """Add the cells that an arm sweeps, as it turns from a bearing [rad], to ``out``.
+    """Add to ``out`` the cells that an arm sweeps as it turns from a bearing.
 
     Args:
-        polar: Of the cells, see :func:`_polar`.
-        at: Bearing of the hand [rad].
-        turn: How far it turns, positive to the left [rad].
-        farthest: Cells farther from the base than this are not swept [m].
+        polar: Polar coordinates of the cells, see :func:`_polar`.
+        at: Bearing of the gripper at the start [rad].
+        turn: Angle of the turn, positive to the left [rad].
+        farthest: Radius of the swept sector [m].
         out: Written, (n,).
     """
     for i in range(out.shape[0]):
@@ -385,9 +384,9 @@ def _sweep(
 def _polar(x: float, y: float) -> FloatArray:
     """Return distance [m] and bearing [rad] of each cell from a base, (3, n).
 
-    The last row is the angle that :data:`MARGIN_M` has at that distance [rad].
+    The last row is the angle of :data:`MARGIN_M` at that distance [rad].
     """
-    # By ``math``: NumPy's functions differ between processors.
+    # Results of NumPy's functions differ between CPUs; those of ``math`` do not.
     across, deep = (
         [(i + 0.5) * _CELL_M for i in range(-count // 2, count // 2)]
         for count in (_ACROSS, _DEEP)

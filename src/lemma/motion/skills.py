@@ -1,9 +1,8 @@
-"""Primitives as motions: waypoints for RMPflow, the gripper, and what can go wrong.
+"""Execution of primitives: waypoints for RMPflow, gripper commands, failures.
 
-A skill is a generator: it sets goals and looks at the world, and hands control back
-once a servo tick, so that the one step loop (in ``env``) stays the one step loop. All
-but ``reach`` and ``lift`` end with the robot parked and nothing held, whatever
-happened.
+A skill is a generator that reads the state, sets goals, and yields once per servo tick.
+The step loop in ``env`` advances the physics. Except for successful ``reach`` and
+``lift``, the robot is parked with an empty gripper afterwards, also after a failure.
 """
 
 import math
@@ -35,27 +34,28 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive
 Skill = Generator[None, None, SkillResult]
 
 DRAG_HEIGHT_M = 0.022
-"""While it pushes or pulls, the stick hovers 4 mm above the table."""
+"""Height at which the stick pushes or pulls: it is 4 mm above the table."""
 DRAG_SPEED_M_S = 0.2
 
 _TICK_S = 0.01
 _MIND_TICKS = 5
-"""Servo ticks between two looks at what arms have left behind: 50 ms."""
+"""Servo ticks between two updates of the reservations: 50 ms."""
 _MEETING_M = 0.05
 _MEETING_M_S = 0.1
-"""The stick meets the cube slowly: a knock would send it ahead."""
+"""Speed at which the stick makes contact: a faster stick would knock the cube away."""
 _ASIDE_M = 0.03
 _HOVER_M = 0.05
 _LIFT_M = 0.15
 _PRESS_M = 0.0005
-"""A held object is lowered until it surely touches: nothing is dropped."""
+"""Depth below first contact to which a held object is lowered, so that it never falls.
+"""
 
 
 class SkillRunner:
     """Executes grounded sub-tasks with the arms of one scene."""
 
     def __init__(self, arms: dict[str, ArmMotion]) -> None:
-        """Keep the arms.
+        """Execute sub-tasks with the given arms.
 
         Args:
             arms: Motion of every robot of the scene, by robot name.
@@ -63,7 +63,7 @@ class SkillRunner:
         self.arms = arms
         self.scene = next(iter(arms.values())).scene
         self.reservations = Reservations(arms)
-        """Of those at work, and of those that are free but not at home."""
+        """Reservations of busy robots, and of free robots that are not parked."""
         self._obstacles = Obstacles(arms)
         self.leaving = Leaving(arms, self.reservations)
         self.staying = StayingArms(arms, self.reservations, self._obstacles)
@@ -73,15 +73,15 @@ class SkillRunner:
         self._obstacles.feel(arm, target, held)
 
     def mind_others(self, busy: tuple[str, ...]) -> None:
-        """Let those at work feel where others are now, and not wait for ever.
+        """Update the obstacles of busy robots, and resolve deadlocks.
 
         Args:
             busy: Robots, in the order in which their sub-tasks began.
         """
         for name in busy:
-            # Of any arm, for a sub-task that has begun in this tick as well.
+            # Update all arms, including those whose sub-task began in this tick.
             self.feel(self.arms[name], *self._obstacles.felt[name])
-        # By the clock, so that a restored state goes on in the same way.
+        # The simulated time decides, so that a restored state continues identically.
         if round(self.scene.time_s / _TICK_S) % _MIND_TICKS == 0:
             self.reservations.follow()
         if self.reservations.waits:
@@ -90,10 +90,13 @@ class SkillRunner:
     def _enter(
         self, arm: ArmMotion, *goals: Pose2, stick: bool
     ) -> Generator[None, None, bool]:
-        """Wait until an arm may sweep to goals and home; returns whether it waited.
+        """Wait until an arm has reserved the way to goals and home.
+
+        Returns:
+            Whether it had to wait.
 
         Raises:
-            SkillFailure: Robots wait for each other.
+            SkillFailure: A deadlock, or the wait was too long.
         """
         name, table, since = arm.robot.name, self.reservations, self.scene.time_s
         while not table.ask(name, goals, stick=stick):
@@ -111,24 +114,24 @@ class SkillRunner:
         return self.scene.time_s > since
 
     def _put_away(self, arm: ArmMotion) -> Motion:
-        """Put down what an arm holds where it is, as soon as it may go home from there.
+        """Put the held object down here, as soon as the way home is reserved.
 
-        An arm that has begun to work may do so at once, and one that is home, or stayed
-        where it was, once others have passed.
+        A busy arm has reserved it already. An arm that is parked or stays over the
+        table may have to wait for others.
         """
         while not self.reservations.ask_for_home(arm.robot.name):
             yield
         yield from Moves(arm).give_up()
 
     def run(self, subtask: GroundedSubTask) -> Skill:
-        """Execute a sub-task; yields once per servo tick, returns how it went.
+        """Execute a sub-task; yield once per servo tick, return the result.
 
-        Afterwards the arm is parked and its gripper open, also after a failure; but
-        after ``reach`` and ``lift`` it stays where it is. It first puts down anything
-        that it still holds.
+        An arm that still holds an object puts it down first. Afterwards the arm is
+        parked with an open gripper, also after a failure; after successful ``reach``
+        and ``lift`` it stays where it is.
 
         Raises:
-            UnknownNameError: No robot can do such a thing.
+            UnknownNameError: There is no skill for this primitive.
         """
         skill = SKILLS[subtask.primitive]
         start = self.scene.time_s
@@ -137,7 +140,7 @@ class SkillRunner:
         self._obstacles.felt[subtask.robot] = (None, None)
         if Moves(arm).is_full():
             x, y = arm.tcp_pose()[:2, 3].tolist()
-            # Its load is no obstacle to it.
+            # The held object is no obstacle.
             self._obstacles.felt[subtask.robot] = (None, self.surface(Pose2(x, y))[1])
             yield from self._put_away(arm)
         try:
@@ -155,19 +158,19 @@ class SkillRunner:
         )
 
     def _begin(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Reserve the first stage; all of a sub-task that does not ask on its way."""
+        """Reserve the first stage, or all stages if the skill makes no reservations."""
         stick = self.surface(subtask.pick)[1] == STICK
         asks = SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare)
         goals = (subtask.pick,) if asks else (subtask.pick, subtask.place)
         yield from self._enter(arm, *goals, stick=stick)
 
     def move(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Pick up what lies at the pick pose, and put it down at the place pose."""
+        """Pick up the object at the pick pose, and put it down at the place pose."""
         held, grip_m = self.what_to_pick(subtask.pick)
         yield from self._carry(arm, subtask, held, grip_m)
 
     def reach(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Hold the open hand over what lies at the pick pose."""
+        """Hold the open gripper over the object at the pick pose."""
         moves = Moves(arm)
         found, grip_m = self.what_to_pick(subtask.pick)
         subtask = _as_it_turns(subtask, arm)
@@ -182,7 +185,7 @@ class SkillRunner:
         yield from moves.lower(low)
 
     def lift(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Pick up what lies at the pick pose, and hold it there."""
+        """Pick up the object at the pick pose, and hold it there."""
         moves = Moves(arm)
         held, grip_m = self.what_to_pick(subtask.pick)
         subtask = _as_it_turns(subtask, arm)
@@ -197,7 +200,7 @@ class SkillRunner:
         moves.check_held()
 
     def prepare(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Move the stick to where it is used."""
+        """Put the stick down at the place pose, where it will be used."""
         yield from self._carry(arm, subtask, *self._stick_to_pick(subtask))
 
     def _carry(
@@ -225,7 +228,7 @@ class SkillRunner:
             yield from self._enter(arm, subtask.place, stick=stick)
             waited = True
         if waited or not alone:
-            # Others may have carried something over the place, or put it there.
+            # Meanwhile another robot may have put an object at the place.
             moves.check_held()
             put = self._put_down(subtask.place, held, grip_m)
             over_put = stand_at(subtask.place, max(put[2], TRAVEL_HEIGHT_M))
@@ -236,15 +239,13 @@ class SkillRunner:
         yield from moves.release(put)
 
     def _put_down(self, place: Pose2, held: str, grip_m: float) -> Stand:
-        """Return where the hand stands when what it holds touches its support."""
-        bottom = grip_m - _grasp_of(held).height_m
-        body = self.scene.model.body(held).id
-        rests = kind_of(held).rests(place)
-        support = max(self.surface(at, exclude=body)[0] for at in rests)
+        """Return the gripper's pose at which the held object touches its support."""
+        body, bottom = self.scene.model.body(held).id, grip_m - _grasp_of(held).height_m
+        support = max(self.surface(at, body)[0] for at in kind_of(held).rests(place))
         return stand_at(place, support + grip_m - bottom - _PRESS_M)
 
     def drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-        """Push or pull a cube with the stick, which lies ready."""
+        """Grasp the stick at the pick pose, and push or pull a cube with it."""
         moves = Moves(arm)
         held, _ = self._stick_to_pick(subtask)
         subtask = _as_it_turns(subtask, arm)
@@ -274,7 +275,7 @@ class SkillRunner:
         yield from moves.release(down)
 
     def _stick_to_pick(self, subtask: GroundedSubTask) -> tuple[str, float]:
-        """Return the stick under the pick pose and the height to grasp it at [m]."""
+        """Return the stick at the pick pose and its grasp height over the table [m]."""
         entity, grip_m = self.what_to_pick(subtask.pick)
         if entity != STICK:
             raise SkillFailure(
@@ -285,10 +286,10 @@ class SkillRunner:
         return entity, grip_m
 
     def what_to_pick(self, pose: Pose2) -> tuple[str, float]:
-        """Return what lies under a pick pose and the height to grasp it at [m].
+        """Return the entity at a pick pose and its grasp height over the table [m].
 
         Raises:
-            SkillFailure: Nothing that can be picked, or what is on the floor.
+            SkillFailure: No object there can be picked, or it has fallen off the table.
         """
         top, entity = self.surface(pose)
         if entity is not None and entity in self.scene.fallen:
@@ -303,15 +304,15 @@ class SkillRunner:
         return entity, bottom + _grasp_of(entity).height_m
 
     def surface(self, pose: Pose2, exclude: int = -1) -> tuple[float, str | None]:
-        """Return what a depth camera above would see at a table position.
+        """Return the highest surface at a position, found by a ray from above.
 
         Args:
-            pose: Where.
-            exclude: MuJoCo body to look through.
+            pose: The position.
+            exclude: MuJoCo body to ignore; robots are always ignored.
 
         Returns:
-            Height of the highest surface [m] and the entity it belongs to, None for the
-            table. Robots are looked through.
+            Height of the surface above the table [m] and its entity, None for the
+            table.
         """
         groups = np.array([1, 1, 0, 0, 0, 0], dtype=np.uint8)
         geom = np.array([-1], dtype=np.int32)
@@ -334,7 +335,7 @@ class SkillRunner:
 
 
 def _grasp_of(entity: str) -> Grasp:
-    """Return how an object is held; fail where no gripper can."""
+    """Return the grasp of an object; raise ``INVALID`` if there is none."""
     grasp = kind_of(entity).grasp
     if grasp is None:
         raise SkillFailure(Outcome.INVALID, f"No gripper can hold the {entity}.")
@@ -342,10 +343,10 @@ def _grasp_of(entity: str) -> Grasp:
 
 
 SkillMotion = Callable[[SkillRunner, ArmMotion, GroundedSubTask], Motion]
-"""Carries out a grounded sub-task; raises :class:`SkillFailure` where it cannot."""
+"""Executes a grounded sub-task; raises :class:`SkillFailure` if that fails."""
 
 SKILLS: Registry[SkillMotion] = Registry("skill", SkillMotion)
-"""How each primitive is carried out; ``stop`` needs no motion."""
+"""The skill of each primitive; ``stop`` needs none."""
 SKILLS.add(Primitive.MOVE, SkillRunner.move)
 SKILLS.add(Primitive.PREHOOK, SkillRunner.prepare)
 SKILLS.add(Primitive.HOOK, SkillRunner.drag)
@@ -354,24 +355,23 @@ SKILLS.add(Primitive.POKE, SkillRunner.drag)
 SKILLS.add(Primitive.REACH, SkillRunner.reach)
 SKILLS.add(Primitive.LIFT, SkillRunner.lift)
 _STAYS = (Primitive.REACH, Primitive.LIFT)
-"""The arm stays where it is afterwards, with what it holds."""
+"""After these the arm stays where it is, and holds its object."""
 
 
 def stand_at(pose: Pose2, z: float) -> Stand:
-    """Return the waypoint above a pose on the table, at a height [m]."""
+    """Return the waypoint over a pose on the table, at height ``z`` [m]."""
     return (pose.x, pose.y, z, pose.yaw)
 
 
 def _withdrawal(
     primitive: Primitive, robot: RobotPlacement, start: Stand, end: Stand
 ) -> list[Stand]:
-    """Return waypoints that take the stick off the cube: fingers must fit around it.
+    """Return waypoints that move the stick off the cube, so that fingers fit around it.
 
-    A hook is pushed out beyond the cube and then to the side of its opening's far end;
-    a head is drawn back.
+    A hook is pushed out beyond the cube and then moved aside; a head is drawn back.
     """
     poking = primitive is Primitive.POKE
-    # The direction of the stick, from the hand to the hook.
+    # The direction of the stick, from the gripper to the hook.
     sign = 1.0 if poking else -1.0
     bearing = math.atan2(sign * (end[1] - start[1]), sign * (end[0] - start[0]))
     left = withdrawn(primitive, robot, Pose2(end[0], end[1], bearing))
@@ -384,10 +384,10 @@ def _withdrawal(
 
 
 def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:
-    """Return the sub-task with both yaws half a turn on, where that turns the arm less.
+    """Return the sub-task with pi added to both yaws, if that turns the arm less.
 
-    The fingers are alike, so half a turn does not matter to the grasp; but what is held
-    must turn from pick to place as the sub-task says, so both turn or neither.
+    The grasp is symmetric under half a turn. The object must still rotate from pick to
+    place as in the sub-task, so either both yaws change or neither.
     """
     gripper = arm.tcp_pose()
     turned = math.pi + subtask.pick.yaw - math.atan2(gripper[1, 0], gripper[0, 0])

@@ -1,9 +1,9 @@
-"""Arms that are free but not at home: each holds the sector in which it stays.
+"""Arms of free robots that are not parked: each holds the sector in which it stays.
 
-``reach`` and ``lift`` end over the table. An arm that stays there holds its way home.
-If another one has waited for that for a moment, the arm makes way: it rises and goes
-home with what it holds. Its robot is free all the while, and a new sub-task of its own
-begins from wherever its arm is.
+``reach`` and ``lift`` end over the table. An arm that stays there reserves its way
+home. If another arm waits for that sector, the arm makes way after
+:data:`~.reservations.PATIENCE_S`: it rises and goes home with its load. Its robot is
+free meanwhile; a new sub-task begins from the arm's present position.
 """
 
 from collections.abc import Mapping
@@ -17,11 +17,11 @@ from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.scene.objects.entity import STICK
 
 HOME_RAD = 0.05
-"""An arm is at home if no joint is farther from where it waits [rad]."""
+"""An arm is at home if no joint is farther than this from its park posture [rad]."""
 
 
 class StayingArms:
-    """The arms of one scene that are free but not at home, while others work."""
+    """The arms of one scene that are free but not at home, while others are busy."""
 
     def __init__(
         self,
@@ -29,12 +29,12 @@ class StayingArms:
         reservations: Reservations,
         obstacles: Obstacles,
     ) -> None:
-        """Let nobody stay anywhere yet.
+        """Start without staying arms.
 
         Args:
             arms: Motion of every robot of the scene, by robot name.
-            reservations: Of the same arms.
-            obstacles: Of the same arms.
+            reservations: Reservations of the same arms.
+            obstacles: Obstacles of the same arms.
         """
         self._arms, self._reservations = arms, reservations
         self._obstacles = obstacles
@@ -42,25 +42,25 @@ class StayingArms:
         self._ways: dict[str, Motion | None] = {}
 
     def __bool__(self) -> bool:
-        """Whether an arm stays anywhere."""
+        """Return whether any arm stays."""
         return bool(self._ways)
 
     def is_home(self, robot: str) -> bool:
-        """Whether an arm is where it waits."""
+        """Return whether an arm is in its park posture."""
         arm = self._arms[robot]
         return largest_turn(arm.measured, arm.park) < HOME_RAD
 
     def begin(self) -> None:
-        """Let all arms that are not at home hold their sectors; nobody is at work."""
+        """Reserve the sectors of all arms that are not at home; no robot is busy."""
         for robot, arm in self._arms.items():
             if not self.is_home(robot):
-                # By the state alone, not by contacts: a restored one goes on alike.
+                # Decide without contacts, so that a restored state gives the same.
                 stick = STICK in self._scene.object_names and Moves(arm).is_full()
                 self._reservations.stay(robot, stick=stick)
                 self._ways[robot] = None
 
     def leave(self, robot: str) -> None:
-        """Note that a robot has become free; it holds a sector if it is not at home."""
+        """Register a robot that became free; reserve a sector if it is not at home."""
         if self.is_home(robot):
             self._reservations.release(robot)
         else:
@@ -68,13 +68,13 @@ class StayingArms:
             self._ways[robot] = None
 
     def work(self, robot: str) -> None:
-        """Note that a robot begins to work, from where it is."""
+        """Remove a robot that begins a sub-task from its present position."""
         way = self._ways.pop(robot, None)
         if way is not None:
             way.close()
 
     def clear(self) -> None:
-        """Let arms stop where they are, and hold nothing."""
+        """Stop all staying arms where they are, and release their sectors."""
         for robot, way in self._ways.items():
             if way is not None:
                 way.close()
@@ -84,7 +84,7 @@ class StayingArms:
         self._ways.clear()
 
     def make_way(self) -> tuple[str, ...]:
-        """Let arms that others wait for go home; returns those that move."""
+        """Move home the arms that others wait for; return the robots that move."""
         now_s = self._scene.time_s
         for wait in self._reservations.waits.values():
             for robot in wait.holders if now_s - wait.since_s >= PATIENCE_S else ():
@@ -103,11 +103,11 @@ class StayingArms:
         return tuple(moving)
 
     def _go_home(self, arm: ArmMotion) -> Motion:
-        """Rise from where an arm stays, and go home with what it holds."""
+        """Raise the arm, and go home with the held object."""
         self._reservations.ask_for_home(arm.robot.name)
         held = self._scene.held().get(arm.robot.name)
         x, y = arm.tcp_pose()[:2, 3].tolist()
-        # A thing below a hand is no obstacle to one that rises.
+        # An object below the gripper is no obstacle while it rises.
         for _ in Moves(arm).rise_from_here(TRAVEL_HEIGHT_M):
             self._obstacles.feel(arm, Pose2(x, y), held)
             yield

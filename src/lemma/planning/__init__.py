@@ -1,1 +1,1 @@
-"""Symbolic planning and geometric grounding, from the true state."""
+"""Symbolic planning and geometric grounding with the true state."""

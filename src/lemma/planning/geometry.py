@@ -1,6 +1,7 @@
 """Geometry of a scene for grounding: reach, grasps, drags, free places.
 
-A ground function of :class:`lemma.planning.primitives.PrimitiveSpec` is given one.
+Ground functions of :class:`lemma.planning.primitives.PrimitiveSpec` get a
+:class:`SceneGeometry` as argument.
 """
 
 import math
@@ -30,7 +31,7 @@ from lemma.tasks.drags import (
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _CLEARANCE_M = 0.065
-"""From a cube's centre to the edge of anything else: fingers fit between."""
+"""Smallest distance from a cube's centre to other objects, so that fingers fit."""
 _GOOD_CLEARANCE_M = 0.12
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.02
 _STICK_GRID = 3
@@ -40,16 +41,16 @@ _StickKey = tuple[tuple[Disc, ...], Pose2, Pose2]
 
 
 class FreeSpots:
-    """Chooses where to put things down so that others can pick them up again."""
+    """Chooses places in a region from which other robots can pick objects up."""
 
     def __init__(
         self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None
     ) -> None:
-        """Find the places that some robots share.
+        """Compute the positions that all robots of a region reach.
 
         Args:
-            robots: Those of one region.
-            gap_m: Where the table is missing.
+            robots: The robots of the region.
+            gap_m: The gap in the table; None without one.
         """
         self._gap_m = gap_m
         self._spots = spots_of(tuple((r.arm, r.base) for r in robots), gap_m)
@@ -59,11 +60,14 @@ class FreeSpots:
     def free_spot(
         self, obstacles: tuple[Disc, ...], wider_m: float = 0.0
     ) -> Pose2 | None:
-        """Return the best place for a cube: well inside reach, clear of the rest.
+        """Return the best free place for an object, by reach margin and clearance.
 
         Args:
-            obstacles: Discs of the objects around.
-            wider_m: By how much more room is needed than for a cube [m].
+            obstacles: Discs (x, y, radius) of the objects around [m].
+            wider_m: Radius of the object beyond that of a cube [m].
+
+        Returns:
+            The place with yaw 0, or None if none is free.
         """
         best, best_score = None, -math.inf
         for x, y, margin in self._spots:
@@ -84,12 +88,15 @@ class FreeSpots:
     def free_stick(
         self, obstacles: tuple[Disc, ...], base: Pose2, pick: Pose2
     ) -> Pose2 | None:
-        """Return the best gripper pose to lay the stick down for somebody else.
+        """Return the best gripper pose to put the stick down for another robot.
 
         Args:
-            obstacles: Discs of the objects around.
-            base: Of the robot that brings it.
-            pick: Gripper pose where that robot grasps it.
+            obstacles: Discs (x, y, radius) of the objects around [m].
+            base: World from base of the robot that brings the stick.
+            pick: Gripper pose at which that robot grasps it.
+
+        Returns:
+            World from gripper, or None if no place is free.
         """
         key = (obstacles, base, pick)
         if key not in self._stick_places:
@@ -106,7 +113,7 @@ class FreeSpots:
         return self._stick_places[key]
 
     def _stick_poses(self, x: float, y: float) -> list[Pose2]:
-        """Return gripper poses at a place that suit each robot, best first."""
+        """Return gripper poses at a place that every robot can use, best first."""
 
         def worst(grip: Pose2) -> float:
             stick = stick_in_grasp(grip)
@@ -135,10 +142,11 @@ def _stick_is_free(grip: Pose2, obstacles: tuple[Disc, ...], gap_m: Gap | None) 
 
 _ENOUGH_M = 0.008
 _FLAT_M = 0.01
-"""Fingers that grasp something come down over what is lower than this."""
+"""Objects lower than this do not obstruct the fingers at a grasp."""
 
 _HANDLING_S = 5.5
-"""Time of every sub-task, wherever it happens: descend, grasp, lift, lower [s]."""
+"""Part of the duration of every sub-task that is independent of its poses: descend,
+grasp, lift, lower [s]."""
 _SWING_RAD_S = 1.6
 _RADIAL_M_S = 0.6
 _GOOD_MARGIN_M = 0.10
@@ -149,50 +157,55 @@ _DragKey = tuple[str, str, bool, Pose2, tuple[Disc, ...]]
 
 @dataclass(frozen=True)
 class GroundedOption:
-    """A sub-task with poses, its predicted effect and its worth."""
+    """A grounded sub-task with its predicted effect, quality and duration."""
 
     subtask: SubTask
     grounded: GroundedSubTask
     after: SymbolicState
     quality: float
-    """q in [0, 1]: how far inside reach it happens."""
+    """q in [0, 1], from the reach margin of its poses."""
     duration_s: float
-    """tau: predicted time [s]."""
+    """tau, the predicted duration [s]."""
     reluctance_s: float = 0.0
-    """Time that the choice between plans adds to it [s]."""
+    """Penalty that is added to the duration when plans are compared [s]."""
 
 
 class SceneGeometry:
-    """Reach, grasps, drags and free places, by the true state."""
+    """Reach, grasps, drags and free places of a scene, from the true state."""
 
     def __init__(self, spec: SceneSpec) -> None:
-        """Prepare for a scene.
+        """Compute the free places of all regions.
 
         Args:
-            spec: The scene; robots do not move their bases.
+            spec: The scene.
         """
         self._robots = dict(zip(spec.robot_names, spec.robots, strict=True))
         self.regions = {
             name: FreeSpots(tuple(spec.robots[i] for i in robots), spec.gap_m)
             for name, robots in spec.regions.items()
         }
-        """Free places, by region: where things can be put down for each other."""
+        """Free places by region, where robots can put objects down for each other."""
         self._gap_m = spec.gap_m
         self._kinds = {placed.name: kind_of(placed.name) for placed in spec.objects}
         self._drags: dict[_DragKey, Drag | None] = {}
 
     @property
     def robots(self) -> dict[str, RobotPlacement]:
-        """The team by name."""
+        """The robots by name."""
         return self._robots
 
     def reaches(self, robot: str, pose: Pose2) -> bool:
-        """Whether a robot can grasp and carry at a position."""
+        """Return whether a robot can grasp and carry at a position."""
         placed = self._robots[robot]
         return reach_of(placed.arm).margin(placed.base, pose.x, pose.y) > 0.0
 
     def drag(self, subtask: SubTask, now: SymbolicState) -> Drag | None:
-        """Return the best drag for a cube: into one's own reach, or into another's."""
+        """Return the best drag for a cube, or None if there is none.
+
+        Args:
+            subtask: ``hook``, ``poke``, or the preparation of either.
+            now: The present state.
+        """
         cube = subtask.place
         hooking = subtask.primitive in (Primitive.PREHOOK, Primitive.HOOK)
         obstacles = self.discs(now, but=cube)
@@ -218,10 +231,15 @@ class SceneGeometry:
         return None
 
     def grasp(self, robot: str, cube: str, now: SymbolicState) -> Pose2 | None:
-        """Return the gripper pose that grasps a cube with most room for the fingers.
+        """Return the grasp of a cube with the largest clearance of the fingers.
+
+        Args:
+            robot: Name of the robot.
+            cube: Name of the object.
+            now: The present state.
 
         Returns:
-            None for a kind that no gripper can hold.
+            World from gripper; None for a kind that no gripper can hold.
         """
         pose, grasp = now.poses[cube], kind_of(cube).grasp
         if grasp is None:
@@ -240,7 +258,7 @@ class SceneGeometry:
         return Pose2(pose.x, pose.y, best)
 
     def _finger_room(self, grip: Pose2, cube: str, now: SymbolicState) -> float:
-        """Return the distance of the open fingers to what stands around [m]."""
+        """Return the clearance of the open fingers to surrounding objects [m]."""
         room, left_out = math.inf, (cube, now.supports.get(cube))
         fingers = [grip @ Pose2(0.0, side * FINGER_CENTER_M) for side in (-1.0, 1.0)]
         for name, pose in now.poses.items():
@@ -256,7 +274,7 @@ class SceneGeometry:
         return room
 
     def discs(self, now: SymbolicState, but: str) -> tuple[Disc, ...]:
-        """Return the bases and every object but one and the stick, as discs."""
+        """Return discs of bases and objects, except one object and the stick [m]."""
         found = [
             (r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self._robots.values()
         ]
@@ -266,13 +284,13 @@ class SceneGeometry:
         return tuple(found)
 
     def margin(self, robot: str, *poses: Pose2) -> float:
-        """Return how far inside a robot's reach the outermost of some poses is [m]."""
+        """Return a robot's smallest reach margin over poses [m]; negative outside."""
         placed = self._robots[robot]
         reach = reach_of(placed.arm)
         return min(reach.margin(placed.base, pose.x, pose.y) for pose in poses)
 
     def quality(self, robot: str, *poses: Pose2) -> float:
-        """Return q in [0, 1]: how far inside a robot's reach some poses are."""
+        """Return q in [0, 1]: a robot's reach margin over poses, scaled and capped."""
         return min(1.0, self.margin(robot, *poses) / _GOOD_MARGIN_M)
 
     def bearing(self, robot: str, pose: Pose2) -> float:
@@ -281,12 +299,12 @@ class SceneGeometry:
         return math.atan2(pose.y - base.y, pose.x - base.x)
 
     def duration_s(self, robot: str, pick: Pose2, place: Pose2) -> float:
-        """Predict how long a robot takes [s]: there, over, and back to where it waits.
+        """Predict the duration of a sub-task, including the way back home [s].
 
         Args:
             robot: Name of the robot.
-            pick: Where it grasps.
-            place: Where it lets go.
+            pick: Pose of the grasp.
+            place: Pose of the release.
         """
         base = self._robots[robot].base
         local = [base.inverse() @ pose for pose in (pick, place)]

@@ -1,9 +1,9 @@
-"""From a symbolic sub-task to gripper poses: the oracle's geometry.
+"""Grounding of symbolic sub-tasks: gripper poses from the true state.
 
-Each grounding also says what will be true afterwards and how good it is, which is what
-the planner's utility is made of. :mod:`lemma.planning.primitives` says how each
-primitive is grounded. A sub-task that cannot be done is refused with the same outcome
-at every level.
+A grounding also has the predicted state after the sub-task, and the quality and
+duration from which the planner computes utility. The ground function of each primitive
+is in :mod:`lemma.planning.primitives`. An infeasible sub-task is refused with the same
+outcome at every level.
 """
 
 from lemma.core.errors import UnknownNameError
@@ -21,7 +21,14 @@ class GeometricGrounder(SceneGeometry):
     """Chooses grasp, place and tool poses from the true state."""
 
     def ground(self, subtask: SubTask, now: SymbolicState) -> GroundedOption | None:
-        """Ground a sub-task, or return None where its robot cannot do it.
+        """Ground a sub-task.
+
+        Args:
+            subtask: The sub-task.
+            now: The present state.
+
+        Returns:
+            The grounding, or None if the robot cannot do the sub-task.
 
         Raises:
             UnknownNameError: No such robot.
@@ -41,17 +48,17 @@ class GeometricGrounder(SceneGeometry):
 def ground_or_refuse(
     subtask: SubTask, now: SymbolicState, grounder: GeometricGrounder
 ) -> GroundedOption | SkillResult:
-    """Return a sub-task with poses, or how it ends where there are none.
+    """Ground a sub-task, or refuse it with a result.
 
     Args:
-        subtask: In symbols; not ``stop``.
+        subtask: The symbolic sub-task; not ``stop``.
         now: The true state.
-        grounder: Of the same scene.
+        grounder: Grounder of the same scene.
 
     Returns:
-        The grounded sub-task; or a result that took no time: ``fallen`` where what it
-        needs is lost, ``invalid`` where nobody could do it, ``unreachable`` where this
-        robot cannot.
+        The grounding; or a result of zero duration: ``fallen`` if an object that it
+        needs has fallen off the table, ``invalid`` if no robot could do it,
+        ``unreachable`` if this robot cannot.
 
     Raises:
         UnknownNameError: There is no such robot in this scene.
@@ -70,7 +77,7 @@ def ground_or_refuse(
 
 
 def _why_senseless(subtask: SubTask, now: SymbolicState) -> str | None:
-    """Return why nobody could do a sub-task, None if somebody might."""
+    """Return why no robot could do a sub-task; None if it is valid."""
     pick, place, primitive = subtask.pick, subtask.place, subtask.primitive
     for name in (pick, place):
         if name == "":
@@ -88,7 +95,7 @@ def _why_senseless(subtask: SubTask, now: SymbolicState) -> str | None:
 def _why_unreachable(
     subtask: SubTask, now: SymbolicState, grounder: GeometricGrounder
 ) -> str:
-    """Return why a robot cannot do a sub-task that makes sense."""
+    """Return why a robot cannot do a valid sub-task."""
     robot = subtask.robot
     arm = grounder.robots[robot].arm
     for name in (subtask.pick, subtask.place):

@@ -1,4 +1,4 @@
-"""The schedule of least makespan, by the solver CP-SAT of OR-Tools."""
+"""The schedule of least makespan, computed by the CP-SAT solver of OR-Tools."""
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -9,22 +9,22 @@ from ortools.sat.python import cp_model
 from lemma.planning.schedule import CS, HORIZON_S, Job, Line, Schedule, are_near
 
 _WORTH = 10_000
-"""Utilities are whole numbers of this part while they are compared."""
+"""Factor by which utilities are scaled before they are rounded for the solver."""
 
 
 def least_makespan(jobs: Sequence[Job], limit_s: float = 10.0) -> Schedule | None:
-    """Return a schedule of least makespan, and of those one of highest utility.
+    """Return the schedule of highest utility among those of least makespan.
 
     Args:
         jobs: The sub-tasks.
-        limit_s: How long the solver may look, each of two times [s].
+        limit_s: Time limit of the solver for each of its two calls [s].
 
     Returns:
-        The schedule; None where the solver finds none, such as where the sub-tasks take
-        longer than T_max.
+        The schedule; None if the solver finds none, for example because the sub-tasks
+        take longer than T_max.
     """
     model, late = cp_model.CpModel(), round(CS * HORIZON_S)
-    # Of each sub-task: begin, picked, effect, end.
+    # Times of each sub-task: begin, picked, effect, end.
     at = [[model.new_int_var(0, late, "") for _ in range(4)] for _ in jobs]
     who = [{robot: model.new_bool_var("") for robot in job.options} for job in jobs]
     for chosen in who:
@@ -69,13 +69,13 @@ def _exclude(
     at: Sequence[Sequence[Any]],
     who: Sequence[Mapping[str, Any]],
 ) -> None:
-    """Say how long sub-tasks take, and which of their stages exclude each other.
+    """Add constraints on durations, and on stages that exclude each other.
 
     Args:
-        model: Gets the constraints.
+        model: The model to extend.
         jobs: The sub-tasks.
-        at: Variables: when each begins, has picked, has had its effect and ends.
-        who: Variables: whether a robot does it, by robot.
+        at: Time variables of each sub-task: begin, picked, effect, end.
+        who: Boolean variables of each sub-task by robot: whether the robot does it.
     """
     busy: dict[str, list[Any]] = {}
     stays: list[tuple[int, str, Line, Any]] = []

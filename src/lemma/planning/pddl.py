@@ -1,11 +1,12 @@
-"""Instances as temporal planning problems in PDDL 2.1, for planners of others.
+"""Instances as temporal planning problems in PDDL 2.1, for external planners.
 
-A robot *brings* a thing from where it lies onto another one or into a region, which
-takes the first :data:`~lemma.planning.schedule.PLACED` of the predicted time; then it
-*goes home* and is free again. Reach and durations are those of the
-planner's geometry. The sectors that arms reserve are not in it, nor that a robot may
-fetch while the place for its load is not ready. So a plan of least makespan is neither
-a bound for nor a schedule of :mod:`lemma.planning.schedule`.
+The action *bring* moves an object onto another one or into a region; its duration is
+the fraction :data:`~lemma.planning.schedule.PLACED` of the predicted duration. Then the
+robot *goes home* and is free again. Reach and durations are those of the planner's
+geometry. The model omits the sectors that arms reserve. It also does not allow a robot
+to pick up an object before the place for it is ready. So the least makespan in PDDL is
+no bound for the schedules of :mod:`lemma.planning.schedule`, and its plan is not such a
+schedule.
 """
 
 from dataclasses import dataclass
@@ -59,7 +60,7 @@ class Pddl:
     """A temporal planning problem."""
 
     domain: str
-    """The same for every instance."""
+    """The domain, which is the same for all instances."""
     problem: str
 
 
@@ -69,14 +70,15 @@ def to_pddl(
     """Return an instance as a planning problem.
 
     Args:
-        name: Of the problem.
-        now: Where things are at the beginning.
+        name: Name of the problem.
+        now: The initial state.
         goal: The goal.
-        grounder: Of the same scene.
+        grounder: Grounder of the same scene.
 
     Raises:
-        InvalidConfigError: The goal is about hands or a plank, or has a rule, or there
-            is no plan of moves alone: dragging with the stick is geometry, not symbols.
+        InvalidConfigError: The goal involves grippers or a plank, or has a rule, or no
+            plan reaches it with ``move`` alone; dragging with the stick has no symbolic
+            model.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
@@ -89,9 +91,9 @@ def to_pddl(
     )
     if not moves or not placed or goal.rule is not None:
         raise InvalidConfigError(
-            f"{name} cannot be told in PDDL: its goal is not reached by moving cubes "
-            "alone. Choose an instance of a task without the stick, and without hands, "
-            "a plank or a rule in its goal, such as relay."
+            f"{name} cannot be expressed in PDDL: no plan reaches its goal by moving "
+            "cubes alone. Choose an instance of a task without the stick, and without "
+            "grippers, a plank or a rule in its goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 
@@ -109,7 +111,7 @@ def _domain() -> str:
 
 
 class _Problem:
-    """The facts of one situation."""
+    """The problem file of one initial state."""
 
     def __init__(
         self, now: SymbolicState, goal: Goal, grounder: GeometricGrounder
@@ -125,7 +127,7 @@ class _Problem:
         self._regions = {name: pose for name, pose in places.items() if pose}
 
     def text(self, name: str) -> str:
-        """Return the problem."""
+        """Return the problem as PDDL."""
         cargo = [thing for thing in self._things if thing in self._now.supports]
         pads = [thing for thing in self._things if thing not in cargo]
         objects = (
@@ -147,7 +149,7 @@ class _Problem:
         )
 
     def _lies(self) -> list[str]:
-        """Return where robots and things are."""
+        """Return the facts about positions of robots and objects."""
         found = [f"(free {robot})" for robot in self._grounder.robots]
         for name in self._things:
             below = self._now.supports.get(name, TABLE)
@@ -163,7 +165,7 @@ class _Problem:
         return found
 
     def _reach(self) -> list[str]:
-        """Return who reaches what, and how long it takes."""
+        """Return the facts about reach and durations."""
         found = []
         for number, robot in enumerate(self._grounder.robots):
             regions = self._now.spec.regions

@@ -1,10 +1,10 @@
-"""The symbolic planner: the plan of highest utility, for any goal and any team.
+"""The symbolic planner: finds the plan of highest utility, for any goal and any team.
 
-States are where the cubes and the stick are and what lies on what; steps are sub-tasks
-that the grounder says a robot can do. The utility of a step is the paper's u = q - c,
-minus infinity where the robot cannot: q grows with the margin to the edge of reach, c
-with time and with handling a thing twice. Uniform-cost search with an admissible bound
-returns the plan whose summed utility is highest; nothing is scripted per task.
+A state has the poses of cubes and stick, and their supports; a step is a sub-task that
+the grounder finds feasible. The utility of a step is the paper's u = q - c, and minus
+infinity if the robot cannot do it: q grows with the reach margin, c with the duration
+and with repeated handling of an object. Uniform-cost search with an admissible
+heuristic returns the plan of highest total utility. No task has a script.
 """
 
 import heapq
@@ -20,38 +20,44 @@ from lemma.tasks.goal import Goal, Predicate
 from lemma.tasks.subtask import Primitive, SubTask
 
 _EFFORT = 1.0
-"""Cost of doing anything at all, so that a shorter plan wins."""
+"""Cost of every sub-task, so that shorter plans are preferred."""
 _PER_SECOND = 0.02
 _QUALITY = 0.2
 _AGAIN = 0.5
-"""Cost of handling a cube that was already moved: each grasp can fail."""
+"""Cost of handling a cube that was moved before, because each grasp can fail."""
 _AHEAD = 0.1
-"""Cost of working on a conjunct while an earlier one is open: one thing at a time."""
+"""Cost of working on a conjunct while an earlier one is open."""
 _LEAST = _EFFORT - _QUALITY
 _MAX_EXPANSIONS = 4000
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A sequence of groundings that makes the goal true."""
+    """A sequence of grounded sub-tasks that achieves the goal."""
 
     steps: tuple[GroundedOption, ...]
     utility: float
-    """Sum of u over the steps."""
+    """Sum of the utilities u of the steps."""
 
     @property
     def subtasks(self) -> tuple[SubTask, ...]:
-        """The symbolic plan."""
+        """The symbolic sub-tasks."""
         return tuple(step.subtask for step in self.steps)
 
     @property
     def duration_s(self) -> float:
-        """Predicted time [s]."""
+        """Predicted duration, one sub-task after the other [s]."""
         return ordered_sum(step.duration_s for step in self.steps)
 
 
 def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
-    """Return u = q - c of a step; see the constants of this module."""
+    """Return the utility u = q - c of a step.
+
+    Args:
+        step: The grounded sub-task.
+        before: The state before it.
+        goal: The goal.
+    """
     subject = step.subtask.pick
     if subject == STICK and step.subtask.place not in before.spec.regions:
         subject = step.subtask.place
@@ -65,12 +71,12 @@ def utility(step: GroundedOption, before: SymbolicState, goal: Goal) -> float:
 
 
 def _was_handled(name: str, now: SymbolicState) -> bool:
-    """Whether an object lies where somebody has put it, not pushed or dragged it."""
+    """Return whether a robot has put an object down where it lies."""
     return now.labels[name] in now.spec.regions or now.labels[name].startswith("on ")
 
 
 def conjunct_of(name: str, now: SymbolicState, goal: Goal) -> int | None:
-    """Return the first open conjunct that speaks of an object."""
+    """Return the index of the first open conjunct that involves an object, or None."""
     for i, on in enumerate(goal.conjuncts):
         if name in (on.top, on.bottom) and not now.has(on.top, on.bottom):
             return i
@@ -88,15 +94,15 @@ def find_plan(
     """Find the plan of highest utility.
 
     Args:
-        now: Where things are.
+        now: The present state.
         goal: The goal.
-        grounder: Says what can be done and what follows.
+        grounder: Grounder of the same scene.
         limit_s: Largest predicted duration, the paper's T_max [s].
         team: Robots that may act; all if None.
 
     Returns:
-        The plan; empty where the goal holds already, None where there is none, such as
-        where something that the goal speaks of has fallen off the table.
+        The plan, which is empty if the goal holds already. None if there is no plan,
+        for example because an object of the goal has fallen off the table.
     """
     if any(name in now.fallen for name in goal.entities):
         return None
@@ -133,14 +139,14 @@ def find_plan(
 
 
 def _open(conjuncts: tuple[Predicate, ...], now: SymbolicState) -> int:
-    """Return how many conjuncts do not hold."""
+    """Return the number of conjuncts that do not hold."""
     return len([on for on in conjuncts if not now.has(on.top, on.bottom)])
 
 
 def _bound(now: SymbolicState, goal: Goal) -> float:
-    """Return a cost that no way to the goal undercuts: one step per open conjunct.
+    """Return a lower bound of the cost to the goal: one step per open conjunct.
 
-    One step lays a plank on two things.
+    For a plank, one step makes two conjuncts true.
     """
     left = [on for on in goal.conjuncts if not now.has(on.top, on.bottom)]
     planks = [on.top for on in left if on.top != HAND and _is_plank(on.top)]
@@ -154,13 +160,13 @@ def _is_plank(name: str) -> bool:
 def candidates(
     now: SymbolicState, goal: Goal, robots: tuple[str, ...], grounder: GeometricGrounder
 ) -> Iterator[SubTask]:
-    """Propose the sub-tasks that could serve the goal, whether they can be done or not.
+    """Yield the sub-tasks that could serve the goal, feasible or not.
 
     Args:
-        now: Where things are.
+        now: The present state.
         goal: The goal.
         robots: Robots that may act.
-        grounder: Of the same scene.
+        grounder: Grounder of the same scene.
     """
     wanted = _wanted(now, goal)
     if STICK in now.poses and (elsewhere := _other_regions(STICK, now)):
@@ -174,7 +180,7 @@ def candidates(
 
 
 def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
-    """Return the cubes worth moving, each with the places worth moving it to."""
+    """Return the objects that may need to move, each with its candidate places."""
     wanted: dict[str, list[str]] = {}
     for on in goal.conjuncts:
         if now.has(on.top, on.bottom):
@@ -193,7 +199,7 @@ def _wanted(now: SymbolicState, goal: Goal) -> dict[str, list[str]]:
 
 
 def _other_regions(name: str, now: SymbolicState) -> list[str]:
-    """Return the regions in which an object does not lie."""
+    """Return all regions except the one in which an object lies."""
     if name not in now.labels:
         return []
     return [region for region in now.spec.regions if region != now.labels[name]]

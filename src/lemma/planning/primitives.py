@@ -1,7 +1,7 @@
-"""Primitives: one record each, with its meaning to every layer.
+"""Primitives: one record each, with skill, grounding, candidates and language.
 
-The paper's six come first, in the order in which action spaces and trained weights
-number them, then ``reach`` and ``lift`` of the ladder, then those of users.
+The paper's six come first, in the order of their numbers in action spaces and trained
+weights, then ``reach`` and ``lift`` of the ladder, then those of users.
 """
 
 import math
@@ -29,50 +29,51 @@ _DRAG_M_S = 0.2
 
 @dataclass(frozen=True)
 class Wish:
-    """An object that the planner would like elsewhere."""
+    """An object that the planner considers moving."""
 
     item: str
     """The object: a cube, or the stick."""
     places: tuple[str, ...]
-    """Where it is wanted: entities, or regions such as ``"shared"``. Empty if
-    anywhere else will do."""
+    """Candidate places: entities, or regions such as ``"shared"``. If empty, it must
+    only leave its present place."""
     able: tuple[str, ...]
-    """Robots that can grasp it where it is."""
+    """Robots that can grasp it at its present pose."""
 
 
 Ground = Callable[[SceneGeometry, SubTask, SymbolicState], GroundedOption | None]
-"""Poses for a sub-task and what follows, or None where its robot cannot do it."""
+"""Returns a grounded sub-task with its effect, or None if its robot cannot do it."""
 WhyNot = Callable[[SubTask, SymbolicState], str | None]
-"""Why nobody could do a sub-task now; None if somebody might."""
+"""Returns why no robot could do a sub-task now; None if it is valid."""
 Candidates = Callable[[str, Wish, SymbolicState], Iterable[SubTask]]
-"""Sub-tasks by which a robot might fulfil a wish."""
+"""Returns sub-tasks by which a robot might fulfil a wish."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PrimitiveSpec:
-    """One primitive: how it is carried out, grounded, proposed, refused and said."""
+    """One primitive: its name, language and functions."""
 
     name: str
-    """A lower-case word: ``"push"``."""
+    """A lower-case word, such as ``"push"``."""
     phrase: str
     """Sub-instruction with slots ``{robot}``, ``{pick}`` and ``{place}``."""
     skill: SkillMotion | None = None
-    """Carries it out: a generator that yields once per servo tick. None for ``stop``
+    """Executes it: a generator that yields once per servo tick. None for ``stop``
     alone."""
     ground: Ground = lambda geometry, subtask, now: None
-    """Finds poses for it, for plan level and the expert. By default none are ever
-    found, so that it can be executed at skill level only."""
+    """Grounds it, for plan level and the expert. The default finds no poses, so that
+    the primitive is available at skill level only."""
     candidates: Candidates = lambda robot, wish, now: ()
-    """Proposes it to the planner; by default never."""
+    """Proposes sub-tasks to the planner; the default proposes none."""
     why_not: WhyNot = lambda subtask, now: None
-    """Says why a sub-task makes no sense, beyond that its entities must be there."""
+    """Returns why a sub-task is invalid. The check that its entities exist is done
+    before."""
     tool: bool = False
-    """Whether it is done with the stick, to a cube: ``pick`` is the stick, ``place``
-    the cube."""
+    """Whether it uses the stick: ``pick`` is the stick, ``place`` the cube that it acts
+    on."""
 
 
 def _share(name: str, spec: PrimitiveSpec) -> None:
-    """Tell the layers below of a primitive: its name, its words, its motion."""
+    """Register name, phrase and skill of a primitive in the layers below."""
     if name in tuple(Primitive):
         return
     if spec.skill is None:
@@ -86,13 +87,22 @@ def _share(name: str, spec: PrimitiveSpec) -> None:
 PRIMITIVES: Registry[PrimitiveSpec] = Registry(
     "primitive", PrimitiveSpec, on_add=_share
 )
-"""Every primitive, in the order of their numbers."""
+"""All primitives, in the order of their numbers."""
 
 
 def ground_move(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Ground ``move``: a cube to an entity or a region, the stick to a region."""
+    """Ground ``move`` of a cube to an entity or a region, or of the stick to a region.
+
+    Args:
+        geometry: Geometry of the scene.
+        subtask: The sub-task.
+        now: The present state.
+
+    Returns:
+        The grounding, or None if the robot cannot do it.
+    """
     if subtask.pick == STICK:
         return _ground_pass_stick(geometry, subtask, now)
     cube = subtask.pick
@@ -134,7 +144,7 @@ def ground_move(
     if second is not None:
         yaw = target.yaw + math.pi * round((yaw - target.yaw) / math.pi)
     elif support != TABLE and kind.faceted and kind_of(support).faceted:
-        # Faces aligned: quarter turns away from the lower cube.
+        # Align the faces: the yaw differs from the lower cube's by quarter turns.
         yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
     place = Pose2(target.x, target.y, yaw)
     resting = Pose2(target.x, target.y, start.yaw + yaw - pick.yaw)
@@ -149,7 +159,7 @@ def _option(
     after: SymbolicState,
     *reached: Pose2,
 ) -> GroundedOption:
-    """Return a sub-task with poses to pick and place at, as good as it is in reach."""
+    """Return an option with pick and place poses, and the quality of ``reached``."""
     pick, place = poses
     return GroundedOption(
         subtask,
@@ -178,7 +188,10 @@ def _ground_pass_stick(
 def ground_hand(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Ground ``reach`` or ``lift``: both poses are the grasp."""
+    """Ground ``reach`` or ``lift``: both poses are the grasp.
+
+    Arguments and result are those of :func:`ground_move`.
+    """
     item, lifts = subtask.pick, subtask.primitive is Primitive.LIFT
     if now.on_top_of(item) is not None or geometry.margin(
         subtask.robot, now.poses[item]
@@ -198,7 +211,10 @@ def ground_hand(
 def ground_prepare(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Ground ``prehook`` or ``prepoke``: the stick to where it is used."""
+    """Ground ``prehook`` or ``prepoke``, which put the stick where it will be used.
+
+    Arguments and result are those of :func:`ground_move`.
+    """
     drag = geometry.drag(subtask, now)
     pick = grasp_on_stick(now.poses[STICK])
     if drag is None or not geometry.reaches(subtask.robot, pick):
@@ -211,14 +227,17 @@ def ground_prepare(
 def ground_drag(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Ground ``hook`` or ``poke``: the stick lies prepared, pull or push it."""
+    """Ground ``hook`` or ``poke``, which pull or push the prepared stick.
+
+    Arguments and result are those of :func:`ground_move`.
+    """
     pick = grasp_on_stick(now.poses[STICK])
     if not now.is_prepared(subtask.primitive, subtask.place):
         return None
     drag = geometry.drag(subtask, now)
     if drag is None or not geometry.reaches(subtask.robot, pick):
         return None
-    # Along the stick as it lies, which is not to the millimetre where it should.
+    # Along the actual direction of the stick, which may deviate by millimetres.
     length = drag.prepared.distance(drag.end)
     sign = 1.0 if subtask.primitive is Primitive.POKE else -1.0
     end = pick @ Pose2(sign * length, 0.0)
@@ -227,7 +246,7 @@ def ground_drag(
         subtask.place, drag.cube, TABLE, f"{subtask.primitive} {subtask.robot}"
     ).moved(STICK, stick_in_grasp(left), TABLE, f"used {subtask.place}")
     found = _option(geometry, subtask, (pick, end), after, pick)
-    # The way from pick to end is the drag itself.
+    # The motion from pick to end is the drag; it has its own speed.
     handling_s = geometry.duration_s(subtask.robot, pick, pick)
     return replace(
         found,
@@ -243,7 +262,7 @@ def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTas
 
 
 def _propose_hand(primitive: Primitive) -> Candidates:
-    """Propose to reach for or to lift what a hand is wanted at."""
+    """Return a function that proposes ``reach`` or ``lift`` of the wish's object."""
 
     def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
         if HAND in wish.places and robot in wish.able:
@@ -253,9 +272,9 @@ def _propose_hand(primitive: Primitive) -> Candidates:
 
 
 def _propose_tool(primitive: Primitive, use: Primitive) -> Candidates:
-    """Propose to use the stick where it lies ready, or to lay it ready.
+    """Return a function that proposes to use the stick, or to prepare it.
 
-    That is where nobody can grasp what is wanted, and the stick could bring it.
+    It proposes them for objects that no robot can grasp at their present poses.
     """
 
     def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:

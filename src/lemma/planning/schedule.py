@@ -1,15 +1,16 @@
-"""Schedules: which robot does each sub-task of a plan, and when.
+"""Schedules: the robot and the start time of each sub-task of a plan.
 
-A sub-task takes its predicted time tau. After :data:`PICKED` of it the hand has risen
-with what it picked, after :data:`PLACED` it has let go and goes home. A sub-task
-begins when what it touches has been put down, and reaches its place when what it puts
-things on is there. A robot does one thing at a time. Two stages of different robots,
-picking or placing, exclude each other where the lines from base to hand come nearer
-than :data:`APART_M`: the sectors that the arms reserve would overlap.
+A sub-task takes its predicted duration tau. After the fraction :data:`PICKED` the
+gripper has lifted its object; after :data:`PLACED` it has released it and the arm goes
+home. A sub-task begins after all objects that it touches have been put down, and places
+its object after the support is there. A robot does one sub-task at a time. Two stages
+of different robots, picking or placing, exclude each other if the lines from base to
+gripper come closer than :data:`APART_M`, because the sectors that the arms reserve
+would then overlap.
 
-The least makespan is the paper's allocation with times: binary v says who does what,
-each sub-task once, sum tau v <= T_max, and among the schedules of least makespan that
-of the highest utility sum u v.
+The schedule of least makespan extends the paper's allocation by times: the binary v
+assigns each sub-task to one robot, sum tau v <= T_max, and among the schedules of least
+makespan the one with the highest utility sum u v is chosen.
 """
 
 import math
@@ -29,72 +30,78 @@ from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.teams.rule import Rule
 
 PICKED = 0.41
-"""Share of its time after which a sub-task has picked; mean of 38 executed ones."""
+"""Fraction of its duration after which a sub-task has picked; mean of 38 executions."""
 PLACED = 0.79
-"""Share of its time after which a sub-task has had its effect; of the same."""
+"""Fraction of its duration after which a sub-task has its effect; mean of the same."""
 APART_M = 2 * MARGIN_M
-"""Least distance between the lines from base to hand of two arms at work [m]."""
+"""Smallest distance between the lines from base to gripper of two busy arms [m]."""
 HORIZON_S = 100.0
 """T_max: largest summed duration (paper, section IV) [s]."""
 CS = 100
-"""Times are whole hundredths of a second while they are compared."""
+"""Units of time per second: times are integers in 1/100 s."""
 _STAGES = (0, 1)
-"""Picking and placing; each ends when the next one begins."""
+"""Picking and placing; each stage ends when the next one begins."""
 
 Line = tuple[Pose2, Pose2]
 Stay = tuple[int, int, Line]
-"""A stage of a schedule: from when to when [1/100 s], and where."""
+"""A stage of a sub-task: start and end [1/100 s], and the line from base to gripper."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One sub-task of a plan, whoever does it."""
+    """One sub-task of a plan, with all robots that can do it."""
 
     subtask: SubTask
-    """With the robot that the plan names."""
+    """The sub-task with the robot of the plan."""
     options: Mapping[str, GroundedOption]
-    """By robot: those who can, where the plan does it."""
+    """The grounding by robot, for the robots that can do it at its place in the plan.
+    """
     utilities: Mapping[str, float]
-    """u of each."""
+    """Utility u by robot."""
     needs: Mapping[int, str]
-    """Earlier sub-tasks that it depends on, ``"pick"`` to begin, ``"place"`` to put
-    down."""
+    """Earlier sub-tasks that it depends on: ``"pick"`` to begin, or ``"place"`` to put
+    its object down."""
     lines: Mapping[str, tuple[Line, Line]]
-    """By robot: from its base to its hand, as it picks and as it places."""
+    """Lines from base to gripper by robot, as it picks and as it places [m]."""
 
     def times(self, robot: str) -> tuple[int, ...]:
-        """Return begin, picked, effect and end, from its beginning [1/100 s]."""
+        """Return begin (0), picked, effect and end, relative to the begin [1/100 s]."""
         tau = self.options[robot].duration_s
         return (0, *(round(CS * part * tau) for part in (PICKED, PLACED, 1.0)))
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """The robot and the beginning of each sub-task of a plan."""
+    """The robot and the start time of each sub-task of a plan."""
 
     jobs: tuple[Job, ...]
     robots: tuple[str, ...]
-    """The robot of each."""
+    """The robot of each sub-task."""
     starts: tuple[int, ...]
-    """When each begins [1/100 s]."""
+    """Start time of each sub-task [1/100 s]."""
     is_optimal: bool = False
-    """Whether no schedule of these sub-tasks is shorter."""
+    """Whether the schedule is proven to be of least makespan."""
 
     def at(self, job: int, stage: int) -> int:
-        """Return when a sub-task has begun, picked, had its effect, ended [1/100 s]."""
+        """Return the time of a stage of a sub-task [1/100 s].
+
+        Args:
+            job: Index of the sub-task.
+            stage: 0: begin, 1: picked, 2: effect, 3: end.
+        """
         return self.starts[job] + self.jobs[job].times(self.robots[job])[stage]
 
     @property
     def status(self) -> str:
-        """Whether it is known to be of least makespan, as the solver says it."""
+        """Status in terms of the solver: ``"optimal"`` or ``"feasible"``."""
         return "optimal" if self.is_optimal else "feasible"
 
     def order(self, stage: int = 2) -> tuple[int, ...]:
-        """Return the sub-tasks in the order in which they get to a stage.
+        """Return the indices of the sub-tasks in the order in which they reach a stage.
 
         Args:
-            stage: See :meth:`at`. By default the effect, which each has after all that
-                it needs.
+            stage: See :meth:`at`. The order of the default, the effect, satisfies all
+                dependencies.
         """
         return tuple(sorted(range(len(self.jobs)), key=lambda k: self.at(k, stage)))
 
@@ -107,24 +114,23 @@ class Schedule:
 
     @property
     def makespan_s(self) -> float:
-        """When the last sub-task ends [s]."""
+        """End of the last sub-task [s]."""
         return max((self.at(k, 3) for k in range(len(self.jobs))), default=0) / CS
 
     @property
     def sequential_s(self) -> float:
-        """How long the same sub-tasks take one after the other [s]."""
+        """Duration of the same sub-tasks one after the other [s]."""
         total = 0
         for job, robot in zip(self.jobs, self.robots, strict=True):
             total += job.times(robot)[3]
         return total / CS
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it for JSON, in the way of flexible job shops.
+        """Return the schedule for JSON, as a flexible job shop problem with solution.
 
-        ``jobs`` holds for each sub-task who could do it in which time, what must come
-        before, and which stages (0 to pick, 1 to place) of earlier ones exclude its
-        own; ``schedule`` who does it, and when it begins, has picked, has put down and
-        ends [s].
+        ``jobs`` has for each sub-task its robots with durations, its dependencies, and
+        the stages (0: pick, 1: place) of earlier ones that exclude its own stages.
+        ``schedule`` has its robot and the times of begin, picked, effect and end [s].
         """
         jobs, schedule = [], []
         for m, job in enumerate(self.jobs):
@@ -161,10 +167,10 @@ class Schedule:
         }
 
     def critical_path(self) -> tuple[int, ...]:
-        """Return sub-tasks, first to last, none of which could end later.
+        """Return the sub-tasks on a critical path, first to last.
 
-        Each but the first begins, or reaches its place, as soon as the one before it
-        lets it: the same robot, what it depends on, or a region.
+        Each one waits for the one before it, because of the same robot, a dependency,
+        or an exclusion.
         """
         if not self.jobs:
             return ()
@@ -184,7 +190,7 @@ class Schedule:
         return tuple(path)
 
     def _holds_up(self, k: int, m: int) -> bool:
-        """Whether m could begin sooner if k were done sooner."""
+        """Return whether m could begin earlier if k ended earlier."""
         job, robot = self.jobs[m], self.robots[m]
         same = self.robots[k] == robot
         follows = same and self.at(k, 3) == self.starts[m]
@@ -204,12 +210,12 @@ class Schedule:
         )
 
     def stays(self, job: int) -> list[Stay]:
-        """Return where a sub-task keeps others away, from when to when."""
+        """Return the stages in which a sub-task excludes others."""
         lines = self.jobs[job].lines[self.robots[job]]
         return [(self.at(job, i), self.at(job, i + 1), lines[i]) for i in _STAGES]
 
     def faults(self) -> list[str]:
-        """Return what is wrong with it, nothing if it can be carried out."""
+        """Return descriptions of all violated constraints; empty if there are none."""
         found, count = [], len(self.jobs)
         for m in range(count):
             for k, why in self.jobs[m].needs.items():
@@ -230,12 +236,12 @@ class Schedule:
 
 
 def _meet(a: int, b: int, c: int, d: int) -> bool:
-    """Whether the times from a to b and from c to d have a moment in common."""
+    """Return whether the open intervals (a, b) and (c, d) overlap."""
     return a < d and c < b
 
 
 def are_near(one: Line, another: Line) -> bool:
-    """Whether two arms at work keep each other away."""
+    """Return whether two lines from base to gripper are closer than :data:`APART_M`."""
     for line, other in ((one, another), (another, one)):
         if any(_distance_m(end, other) < APART_M for end in line):
             return True
@@ -265,13 +271,14 @@ def predecessors(
 
     Args:
         steps: The plan.
-        regions: Places that are no objects, and have room for several.
-        rule: That of the goal.
+        regions: Names of the regions, which have room for several objects.
+        rule: The rule of the goal.
 
     Returns:
-        For each, earlier ones that touch or put down what it picks or drags
-        (``"pick"``), or only what it puts something on (``"place"``); this too where
-        a rule wants their effect before its own.
+        For each sub-task, the indices of earlier ones with the kind of dependency:
+        ``"pick"`` if they touch or put down an object that it picks or drags;
+        ``"place"`` if they only handle the support of its object, or if the rule
+        requires their effect before its own.
     """
     found = []
     for j, step in enumerate(steps):
@@ -300,13 +307,13 @@ def _lays_across(step: SubTask, regions: Sequence[str]) -> bool:
 def pose_jobs(
     now: SymbolicState, plan: Plan, goal: Goal, grounder: GeometricGrounder
 ) -> tuple[Job, ...]:
-    """Ask for every sub-task of a plan what each robot would make of it.
+    """Ground every sub-task of a plan for each robot.
 
     Args:
-        now: The situation that the plan begins in.
+        now: The state before the plan.
         plan: The plan.
-        goal: Its goal.
-        grounder: Says what can be done.
+        goal: The goal of the plan.
+        grounder: Grounder of the same scene.
     """
     names, jobs = tuple(grounder.robots), []
     needs = predecessors(plan.subtasks, tuple(now.spec.regions), goal.rule)
@@ -337,13 +344,13 @@ def in_order(
     *,
     is_optimal: bool = False,
 ) -> Schedule:
-    """Return the schedule in which each sub-task in turn begins as soon as it can.
+    """Return the schedule that begins each sub-task, in order, as early as possible.
 
     Args:
         jobs: The sub-tasks.
-        order: Of the sub-tasks; what one depends on comes before it.
-        robots: The robot of each; as the plan says if None.
-        is_optimal: Whether that is known to be of least makespan.
+        order: Indices of the sub-tasks; dependencies come first.
+        robots: The robot of each sub-task; those of the plan if None.
+        is_optimal: Whether the result is proven to be of least makespan.
     """
     who = tuple(robots or (job.subtask.robot for job in jobs))
     starts = [-1] * len(jobs)
@@ -373,12 +380,12 @@ def in_order(
 def _after_others(
     times: Sequence[int], first: int, others: Sequence[tuple[int, int, int]]
 ) -> int:
-    """Return the first time to begin, from which on no stage meets one of others.
+    """Return the earliest start at which no stage overlaps an excluded interval.
 
     Args:
-        times: When it begins, has picked and has placed, from its beginning.
-        first: The first time otherwise.
-        others: A stage, and a time from which and to which it must not be.
+        times: Begin, picked and placed, relative to the start [1/100 s].
+        first: Earliest start without exclusions [1/100 s].
+        others: A stage, and start and end of an interval excluded for it [1/100 s].
     """
     while True:
         later = max(

@@ -1,4 +1,4 @@
-"""State of the symbolic planner: poses of objects, and their supports."""
+"""State of the symbolic planner: poses and supports of objects."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -12,37 +12,38 @@ from lemma.tasks.subtask import Primitive
 
 TABLE = "table"
 _ON_M = 0.03
-"""A thing lies on another when their middles are no farther apart, or as far as the
-other's kind allows."""
+"""An object lies on another if their centres are no farther apart than this, or than
+``support_m`` of the lower one's kind if that is larger."""
 _LEVEL_M = 0.01
-"""Two things carry a plank if their tops are this near in height."""
+"""Two objects support a plank if the heights of their tops differ by less than this."""
 _SPAN_SLACK_M = 0.02
-"""How much farther apart, or nearer, than a plank spans its supports may be."""
+"""Largest difference between their distance and the plank's ``span_m``."""
 _LIFTED_M = 0.025
-"""An object with its bottom higher than this lies on an object with its top higher than
-this, such as a pad or a cube; one with its bottom lower, on the table or a thin mat."""
+"""If an object's bottom is higher than this, its support is an object whose top is also
+higher, such as a pad or a cube; otherwise the table or a thin mat."""
 
 
 @dataclass(frozen=True)
 class SymbolicState:
-    """A symbolic state with the poses that ground it. Never changed in place."""
+    """A symbolic state with the poses of objects. It is never changed in place."""
 
     spec: SceneSpec
     poses: dict[str, Pose2]
-    """Every object that is on the table."""
+    """Pose of each object on the table."""
     supports: dict[str, str]
-    """Support of each movable object but the tool: an entity or the table. After
-    ``lift`` it is the hand, and after ``reach`` the hand has an object below it."""
+    """Support of each movable object except the tool: an entity or the table. After
+    ``lift`` the support is ``"hand"``; after ``reach``, ``"hand"`` has the object below
+    it as support."""
     labels: dict[str, str]
-    """How each movable object got where it is: two ways to one place are one state."""
+    """A label of each movable object's place: states with equal labels are equal."""
     fallen: tuple[str, ...] = ()
-    """Objects that fell off the table: they are lost, and no other field has them."""
+    """Objects that have fallen off the table; no other field contains them."""
     seconds: dict[str, str] = field(default_factory=dict)
-    """The other support of each plank that lies across two things."""
+    """The second support of each plank that lies on two objects."""
 
     @classmethod
     def observe(cls, scene: Scene) -> "SymbolicState":
-        """Read the situation off a scene."""
+        """Return the present symbolic state of a scene."""
         fallen = scene.fallen
         names = [name for name in scene.object_names if name not in fallen]
         poses = {name: scene.pose2(name) for name in names}
@@ -65,15 +66,15 @@ class SymbolicState:
 
     @property
     def key(self) -> tuple[tuple[str, str], ...]:
-        """Key by which the planner compares situations."""
+        """Key by which the planner compares states."""
         return tuple(sorted(self.labels.items()))
 
     def has(self, top: str, bottom: str) -> bool:
-        """Whether a pair of a goal holds; a hand may be either of it."""
+        """Return whether a pair of a goal holds; either of it may be ``"hand"``."""
         return bottom in (self.supports.get(top), self.seconds.get(top))
 
     def on_top_of(self, name: str) -> str | None:
-        """Return what lies on an object, if anything does."""
+        """Return the object that lies on an object, or None."""
         for cube, support in self.supports.items():
             if name in (support, self.seconds.get(cube)):
                 return cube
@@ -119,7 +120,7 @@ class SymbolicState:
         return height_m + self._top_m(below)
 
     def is_prepared(self, primitive: Primitive, cube: str) -> bool:
-        """Whether the stick lies ready to hook or to poke something."""
+        """Return whether the stick is prepared to hook or poke a cube."""
         if STICK not in self.poses:
             return False
         stick, pose = self.poses[STICK], self.poses[cube]
@@ -133,14 +134,14 @@ class SymbolicState:
         label: str,
         second: str | None = None,
     ) -> "SymbolicState":
-        """Return the situation after an object was moved.
+        """Return the state after an object was moved.
 
         Args:
             name: The object.
-            pose: Where it lies then.
-            support: An entity or the table.
-            label: How it got there.
-            second: The other support of a plank.
+            pose: Its new pose.
+            support: Its new support.
+            label: The new label of its place.
+            second: The second support of a plank.
         """
         supports, seconds = self.supports, self.seconds
         if name in supports:
@@ -158,14 +159,14 @@ class SymbolicState:
 
 
 def _support(name: str, poses: dict[str, Pose2], heights: dict[str, float]) -> str:
-    """Return what an object lies on."""
+    """Return the support of an object."""
     bottom = heights[name] - kind_of(name).origin_m
     below = [
         other
         for other in poses
         if other != name and _is_below(other, poses, heights, bottom, poses[name])
     ]
-    # Of a stack, what lies highest; of plates, the first.
+    # In a stack, the highest object below; among equally high ones, the first.
     return max(below, key=lambda other: heights[other], default=TABLE)
 
 
@@ -198,7 +199,7 @@ def _is_below(
     bottom: float,
     above: Pose2,
 ) -> bool:
-    """Whether an object may carry what has its bottom at a height and its middle at."""
+    """Return whether an object supports another with given bottom [m] and centre."""
     kind = kind_of(name)
     lifted, tall = bottom > _LIFTED_M, heights[name] + kind.top_m > _LIFTED_M
     if kind.support_m is None or lifted != tall or (lifted and heights[name] >= bottom):

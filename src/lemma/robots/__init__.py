@@ -1,1 +1,1 @@
-"""Arms and gripper: numbers, bodies, kinematics and reach."""
+"""Arms and gripper: dimensions, MuJoCo bodies, kinematics and reachable sets."""

@@ -1,8 +1,8 @@
-"""The space that an arm fills, simplified: capsules to keep clear of, spheres that do.
+"""Simplified collision geometry of an arm: capsules and spheres.
 
-An arm is an obstacle as capsules, one per link, and moves around obstacles as spheres
-strung along its outer links. Both are given in link frames, so that one forward
-kinematics places them.
+As an obstacle of other arms, an arm is a set of capsules along its links. For its own
+motion around obstacles it is a set of spheres on its outer links. Both are given in
+link frames, so that one forward kinematics places them.
 """
 
 import math
@@ -29,18 +29,22 @@ class Envelope:
     capsule_links: FloatArray
     """Link frame of each capsule, (n,)."""
     capsules: FloatArray
-    """Both ends in that frame and radius, (n, 7) [m]."""
+    """Both ends of the axis in that frame, then the radius, (n, 7) [m]."""
     sphere_links: FloatArray
     """Link frame of each sphere, (m,)."""
     spheres: FloatArray
-    """Centre in that frame and radius, (m, 4) [m]."""
+    """Centre in that frame, then the radius, (m, 4) [m]."""
     sphere_meets_table: FloatArray
-    """1 where the table is an obstacle; 0 for the fingers, whose work is there."""
+    """1 where the table is an obstacle, 0 for the spheres of the gripper, (m,)."""
 
 
 @lru_cache
 def envelope_of(arm_name: str) -> Envelope:
-    """Return the envelope of an arm type."""
+    """Return the envelope of an arm type.
+
+    Raises:
+        UnknownNameError: No such arm.
+    """
     arm = ARMS[arm_name]
     side = arm.shoulder_offset
     forearm_side = side + arm.elbow_offset
@@ -82,10 +86,13 @@ def envelope_of(arm_name: str) -> Envelope:
 
 
 def sweep_radius_m(arm_name: str) -> float:
-    """Return how far from its base an arm's shoulder sweeps just above the table [m].
+    """Return the radius around the base that an arm's shoulder sweeps [m].
 
-    The housings of the shoulder turn with the base, lower than a cube with a hand on
-    it; nothing may stand inside this circle.
+    The housings of the shoulder turn with the base, and are lower than a gripper that
+    holds a cube on the table. So no object may stand inside this circle.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     arm = ARMS[arm_name]
     return arm.shoulder_offset + 2.0 * arm.shoulder_radius
@@ -95,13 +102,13 @@ def sweep_radius_m(arm_name: str) -> float:
 def place_capsules(
     all_frames: FloatArray, links: FloatArray, capsules: FloatArray, out: FloatArray
 ) -> None:
-    """Write capsules to world coordinates.
+    """Transform capsules to world coordinates.
 
     Args:
-        all_frames: World from link frames, (7, 4, 4).
-        links: (n,).
-        capsules: (n, 7) in link frames.
-        out: (n, 7) or wider; ends and radius are written.
+        all_frames: World from link frames, (7, 4, 4) [m].
+        links: Link frame of each capsule, (n,).
+        capsules: Both ends and radius in link frames, (n, 7) [m].
+        out: Both ends and radius in the world frame, (n, 7) or wider [m]; written.
     """
     for k in range(capsules.shape[0]):
         f = all_frames[int(links[k])]
@@ -121,11 +128,11 @@ def segment_points(a: FloatArray, b: FloatArray) -> tuple[float, Triple, Triple]
     Ericson, *Real-Time Collision Detection*, section 5.1.9.
 
     Args:
-        a: Both ends, (6+,) [m].
-        b: The same.
+        a: Both ends of a segment, (6+,) [m].
+        b: The same of another segment.
 
     Returns:
-        Their distance [m], the point on ``a`` and the point on ``b``.
+        Their distance, the point on ``a`` and the point on ``b`` [m].
     """
     ax, ay, az = a[3] - a[0], a[4] - a[1], a[5] - a[2]
     bx, by, bz = b[3] - b[0], b[4] - b[1], b[5] - b[2]
@@ -143,7 +150,7 @@ def segment_points(a: FloatArray, b: FloatArray) -> tuple[float, Triple, Triple]
         ab = ax * bx + ay * by + az * bz
         ar = ax * rx + ay * ry + az * rz
         denominator = aa * bb - ab * ab
-        # Between parallel segments any s will do.
+        # If the segments are parallel, any s is valid.
         if denominator > 1e-12 * aa * bb:
             s = min(1.0, max(0.0, (ab * br - ar * bb) / denominator))
         t = (ab * s + br) / bb
@@ -173,14 +180,14 @@ def closest_points(a: FloatArray, b: FloatArray) -> tuple[float, Triple, Triple]
         b: The same.
 
     Returns:
-        The gap between their surfaces [m], the point on the axis of ``a`` and that on
-        the axis of ``b``.
+        The gap between their surfaces, the point on the axis of ``a`` and the point on
+        the axis of ``b`` [m]. The gap is negative if the capsules overlap.
     """
     distance, near, far = segment_points(a, b)
     return distance - a[6] - b[6], near, far
 
 
-# Capsules of one arm that may come near each other: outer links against the inner ones.
+# Pairs of capsules of one arm that can come close: outer links and inner links.
 SELF_PAIRS = np.array(
     [
         [outer, inner]
@@ -199,10 +206,10 @@ SELF_PAIRS = np.array(
 
 @kernel
 def self_clearance(placed: FloatArray) -> float:
-    """Return the smallest distance between links that could meet [m].
+    """Return the smallest gap between links of one arm that can collide [m].
 
     Args:
-        placed: Capsules of one arm in one frame, (n, 7).
+        placed: Capsules of the arm in one frame, (n, 7) [m].
     """
     least = np.inf
     for k in range(SELF_PAIRS.shape[0]):
@@ -214,11 +221,11 @@ def self_clearance(placed: FloatArray) -> float:
 
 @kernel
 def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
-    """Return the smallest distance between an arm and obstacle capsules [m].
+    """Return the smallest gap between an arm and obstacle capsules [m].
 
     Args:
-        placed: Capsules of the arm, (n, 7).
-        obstacles: Capsules, (m, 7) or wider.
+        placed: Capsules of the arm, (n, 7) [m]; the first, on the base, is ignored.
+        obstacles: Capsules in the same frame, (m, 7) or wider [m].
     """
     least = np.inf
     for i in range(1, placed.shape[0]):
@@ -230,7 +237,11 @@ def obstacle_clearance(placed: FloatArray, obstacles: FloatArray) -> float:
 
 @kernel
 def table_clearance(placed: FloatArray) -> float:
-    """Return the height of the lowest point of links 2 to 5 above the table [m]."""
+    """Return the smallest gap of upper arm, forearm and wrist 1 to the table [m].
+
+    Args:
+        placed: Capsules of one arm in the world frame, (n, 7) [m].
+    """
     least = np.inf
     for k in range(2, 7):
         least = min(least, min(placed[k, 2], placed[k, 5]) - placed[k, 6])

@@ -1,16 +1,16 @@
-"""Where a robot could possibly touch or put anything, however it holds its hand.
+"""Upper bound of an arm's reachable set, over all orientations of the gripper.
 
-:mod:`lemma.robots.reach` says where a robot surely *works*: hand pointing down, clear
-of everything, with margin. This says the opposite: beyond which distance from its base
-no posture of the joints brings the hand, at a given height. It is a bound by kinematics
-alone: joint limits, the table and the arm itself can only take away from it, so it
-holds for whatever the control level allows.
+:mod:`lemma.robots.reach` is the inner bound: positions that a robot reaches with the
+gripper pointing down, without collisions. This module is the outer bound: the distance
+from the base beyond which no joint angles bring the gripper, at a given height. It
+uses kinematics alone. Joint limits, the table and self-collision can only reduce the
+reachable set, so the bound also holds for every action of the control level.
 
-Upper arm and forearm move in a vertical plane, which also has the offset of the second
-wrist joint (d5). That joint turns the hand about an axis across the offset, and the
-last joint about the hand's own. A point of the hand is therefore farthest when the two
-long links and the vector from the second wrist joint to the point are one line, and two
-angles are left over which the maximum is taken.
+Upper arm and forearm move in a vertical plane, and so does the offset of the second
+wrist joint (d5). That joint turns the gripper about an axis across the offset, and the
+last joint turns it about its own axis. A point of the gripper is therefore farthest
+when the two long links and the vector from the second wrist joint to the point are
+collinear. The maximum is then taken over the two remaining angles.
 """
 
 import math
@@ -30,59 +30,62 @@ from lemma.robots.gripper import (
 from lemma.robots.ur.arms import ARMS
 
 HELD_OFF_CENTER_M = 0.035
-"""How far the middle of a held cube can be from the tool centre point: from there the
-pads, 12 mm to either side, just touch its edge."""
+"""Largest distance of the centre of a held cube from the tool centre point [m]: at this
+distance the pads, 12 mm to either side, just touch the edge of the cube."""
 
 _ANGLES = 721
-"""Of each of the two angles over a turn: half a degree apart, which is 0.1 mm."""
+"""Samples of each of the two angles over a turn: steps of 0.5 deg, errors of 0.1 mm."""
 _HIGHEST_M = 0.2
-"""Objects on the table, also a cube on a cube on a pad, are handled below this."""
+"""Largest height at which objects are handled [m]: a cube on a cube on a pad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Could:
-    """The circle around its base beyond which an arm type can do nothing."""
+    """The outer bounds of an arm type's reachable set: radii around its base."""
 
     touch_m: float
-    """No part of the hand gets farther, its open fingertips included."""
+    """Largest distance of any part of the gripper, open fingertips included [m]."""
     place_m: float
-    """No cube can be put farther, measured to its middle."""
+    """Largest distance of the centre of a cube that is put down [m]."""
 
     def excess(
         self, base: Pose2, x: float, y: float, radius_m: float, support_m: float = 0.0
     ) -> float:
-        """Return how far out of a robot's possibilities a thing is [m].
+        """Return how far outside a robot's reachable set an object is [m].
 
         Args:
-            base: Where the robot stands.
-            x: Middle of the thing [m].
-            y: Middle of the thing [m].
-            radius_m: Of a disc around the thing.
-            support_m: How far from the middle of the thing another may be put so that
-                it counts as put upon it.
+            base: World from base.
+            x: World x of the centre of the object [m].
+            y: World y of the centre of the object [m].
+            radius_m: Radius of a disc that covers the object.
+            support_m: Largest distance between the centre of the object and that of
+                another one that counts as placed on it.
 
         Returns:
-            The distance from the nearest point that the robot could touch, or on which
-            it could put a cube; negative where it could.
+            The gap between the object and the region in which the robot could touch it
+            or place a cube on it; negative inside that region.
         """
         r = math.hypot(x - base.x, y - base.y)
         return r - self.radius_m(radius_m, support_m)
 
     def radius_m(self, radius_m: float, support_m: float = 0.0) -> float:
-        """Return the distance beyond which a thing is safe; see :meth:`excess`."""
+        """Return the distance from the base beyond which an object is out of reach [m].
+
+        See :meth:`excess` for the arguments.
+        """
         return max(self.touch_m + radius_m, self.place_m + support_m)
 
 
 @lru_cache
 def could_of(arm_name: str) -> Could:
-    """Return what an arm type could do to things on the table at most.
+    """Return the outer bounds of an arm type's reach for objects on the table.
 
     Raises:
         UnknownNameError: No such arm.
     """
     side = math.hypot(0.5 * FINGER_OPENING_M + FINGER_THICKNESS_M, 0.5 * FINGER_WIDTH_M)
     tip = TCP_OFFSET_M + FINGERTIP_BEYOND_TCP_M
-    # At the height of the shoulder an arm reaches farthest.
+    # Reach is largest at the height of the shoulder.
     height = min(ARMS[arm_name].d1, _HIGHEST_M)
     return Could(
         touch_m=farthest_m(arm_name, height, tip, side),
@@ -94,16 +97,17 @@ def could_of(arm_name: str) -> Could:
 def farthest_m(
     arm_name: str, height_m: float, beyond_flange_m: float, beside_m: float = 0.0
 ) -> float:
-    """Return how far from the axis of its base a point of an arm's hand can get [m].
+    """Return the largest distance of a point of the gripper from the base's axis [m].
 
     Args:
         arm_name: Arm type.
         height_m: Height of the point above the foot of the base.
-        beyond_flange_m: Where the point is along the hand's axis.
+        beyond_flange_m: Position of the point along the gripper's axis, from the
+            flange.
         beside_m: Its distance from that axis.
 
     Returns:
-        An upper bound over all joint angles; 0 where the arm never gets that high.
+        An upper bound over all joint angles; 0 if the arm cannot get that high.
 
     Raises:
         UnknownNameError: No such arm.
@@ -113,13 +117,13 @@ def farthest_m(
     sin5, cos5 = np.sin(angle)[:, None], np.cos(angle)[:, None]
     sin6, cos6 = np.sin(angle)[None, :], np.cos(angle)[None, :]
     along = arm.d6 + beyond_flange_m
-    # From the second wrist joint to the point: two directions of the arm's plane, and
-    # the one across it.
+    # The vector from the second wrist joint to the point: two components in the arm's
+    # plane, and one across it.
     first = arm.d5 + beside_m * cos6
     second = along * sin5 + beside_m * sin6 * cos5
     across = arm.d4 + along * cos5 - beside_m * sin6 * sin5
     radius = arm.a2 + arm.a3 + np.sqrt(first * first + second * second)
     squared = radius * radius - (height_m - arm.d1) ** 2
-    # Between two angles of the grid the maximum is a little higher: round up.
+    # Between two angles of the grid the maximum is slightly higher: round up.
     reach = np.sqrt(np.maximum(0.0, squared) + across * across)
     return math.ceil(float(reach[squared >= 0.0].max(initial=0.0)) * 1e3) / 1e3

@@ -1,7 +1,7 @@
-"""Solids that robots are drawn and collided with.
+"""Collision geoms and visible meshes of robots.
 
-Collision geoms are a few capsules and boxes (group 3). Visible geoms never touch
-anything (group 2). Neither has mass: links state their inertia themselves.
+Collision geoms are a few capsules and boxes (group 3). Visible geoms do not collide
+(group 2). Neither has mass: the inertia of links is set explicitly.
 """
 
 import math
@@ -16,15 +16,15 @@ VISUAL_GROUP = 2
 COLLISION_GROUP = 3
 
 DARK: Rgba = (0.17, 0.18, 0.20, 1.0)
-"""Seams, collars, the gripper."""
+"""Color of seams, collars and the gripper."""
 METAL: Rgba = (0.66, 0.68, 0.70, 1.0)
-"""Flange and fingers."""
+"""Color of the flange and the fingers."""
 _COLLIDER: Rgba = (0.4, 0.7, 0.4, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A round solid from one point to another, in the frame of its body."""
+    """A solid cylinder between two points in the frame of its body."""
 
     start: Vector
     """Centre of the first end [m]."""
@@ -40,7 +40,7 @@ class Cylinder:
 
     @property
     def centre(self) -> Vector:
-        """The point halfway [m]."""
+        """Centre of the cylinder [m]."""
         return _between(self, 0.5)
 
 
@@ -83,21 +83,21 @@ def add_box(body: mujoco.MjsBody, name: str, shape: Box) -> mujoco.MjsGeom:
 def draw(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, surface: Surface, rgba: Rgba
 ) -> None:
-    """Add a mesh that is only seen.
+    """Add a visible mesh without collisions.
 
     Args:
-        spec: The scene that is being built.
+        spec: The MuJoCo specification of the scene.
         body: Body that the mesh is fixed to.
-        name: Name of the mesh; drawn a second time, it is shared.
+        name: Name of the mesh; geoms with the same name share one mesh.
         surface: Its triangles, in the frame of ``body``.
-        rgba: Color.
+        rgba: Color and opacity, each in [0, 1].
     """
     if spec.mesh(name) is None:
         spec.add_mesh(
             name=name,
             uservert=surface.vertices,
             userface=surface.faces,
-            # The mesh weighs nothing; this is the way to say so that costs least.
+            # The mesh has no mass; MuJoCo computes this inertia fastest.
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
     body.add_geom(
@@ -111,13 +111,24 @@ def draw(
 
 
 def cylinder_inertia(mass: float, radius: float, length: float) -> Vector:
-    """Return the inertia [kg m2] across, across and along a solid cylinder."""
+    """Return the diagonal inertia of a solid cylinder along z [kg m2].
+
+    Args:
+        mass: Mass [kg].
+        radius: Radius [m].
+        length: Length [m].
+    """
     across = mass * (3.0 * radius * radius + length * length) / 12.0
     return (across, across, 0.5 * mass * radius * radius)
 
 
 def box_inertia(mass: float, size: Vector) -> Vector:
-    """Return the inertia [kg m2] of a solid box about its axes."""
+    """Return the diagonal inertia of a solid box [kg m2].
+
+    Args:
+        mass: Mass [kg].
+        size: Full edge lengths along x, y, z [m].
+    """
     x, y, z = (edge * edge for edge in size)
     return (mass * (y + z) / 12.0, mass * (x + z) / 12.0, mass * (x + y) / 12.0)
 
@@ -125,7 +136,14 @@ def box_inertia(mass: float, size: Vector) -> Vector:
 def set_inertia(
     body: mujoco.MjsBody, mass: float, centre: Vector, inertia: Vector
 ) -> None:
-    """State a body's inertia, diagonal in the body frame, and lift its weight."""
+    """Set a body's mass and inertia, and compensate its gravity.
+
+    Args:
+        body: The body.
+        mass: Mass [kg].
+        centre: Centre of mass in the body frame [m].
+        inertia: Diagonal inertia in the body frame [kg m2].
+    """
     body.explicitinertial = True
     body.mass = mass
     body.ipos = list(centre)

@@ -1,8 +1,8 @@
-"""A two-finger parallel gripper in the manner of a Hand-E, with a longer stroke.
+"""A two-finger parallel gripper, similar to a Hand-E, with a longer stroke.
 
 Both fingers are one degree of freedom: a servo drives their summed travel, which is
-the opening width, and an equality keeps them symmetric. Nothing is ever welded: what
-the pads hold, they hold by friction.
+the opening width, and an equality constraint keeps them symmetric. Objects are held by
+friction alone, never by weld constraints.
 """
 
 from functools import lru_cache
@@ -31,9 +31,9 @@ from lemma.robots.gripper import (
 from lemma.robots.ur.meshes import Loft, Surface, mesh
 
 _FINGER_MASS_KG = 0.1
-# At full force the width changes at 0.2 m/s: the whole stroke takes half a second.
+# At full force the width changes at 0.2 m/s: the full stroke takes 0.5 s.
 _WIDTH_DAMPING = GRIP_FORCE_N / 0.2
-# The screw drive's reflected inertia; it also keeps the light fingers well conditioned.
+# Reflected inertia of the screw drive; it also improves the numerical conditioning.
 _FINGER_ARMATURE = 5.0
 _SERVO_STIFFNESS = 5000.0
 _PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
@@ -45,7 +45,7 @@ def add_gripper(
     """Add a gripper to the last link of an arm.
 
     Args:
-        spec: The scene that is being built.
+        spec: The MuJoCo specification of the scene.
         parent: The last link; its z axis points out of the flange.
         prefix: Name of the robot.
         flange_z_m: Height of the flange in the frame of ``parent`` [m].
@@ -75,7 +75,7 @@ def _add_finger(
     side: str,
     direction: float,
 ) -> None:
-    """Add one finger, closed at joint position zero, its pad facing the other's."""
+    """Add one finger; joint position zero is closed."""
     name = f"{prefix}/finger_{side}"
     finger = palm.add_body(name=name, pos=[0, 0, TCP_OFFSET_M])
     top = PALM_BEYOND_FLANGE_M - TCP_OFFSET_M
@@ -83,7 +83,7 @@ def _add_finger(
     width, thickness = FINGER_WIDTH_M, FINGER_THICKNESS_M
     centre_y = direction * 0.5 * thickness
     pad = Box((0, centre_y, 0), (width, thickness, 2.0 * tip))
-    # Recessed, so that only the pad touches what is held.
+    # The stem is recessed, so that only the pad touches a held object.
     recess = 0.003
     stem = Box(
         (0, centre_y + direction * 0.5 * recess, 0.5 * (top - tip)),
@@ -106,16 +106,17 @@ def _add_finger(
 
 
 def _make_rubber(pad: mujoco.MjsGeom) -> None:
-    """Give a pad the contact that holds things: it decides, whatever the thing is."""
+    """Set the contact parameters of a pad; they override those of objects."""
     pad.priority = 1
     pad.condim = 4
     pad.friction = [1.2, 0.02, 0.0001]
     # Stiffness and damping of the contact [1/s2, 1/s]. Friction stops slip by damping
-    # alone, and each step of h bends a moving arm's path: a held object drifts by
-    # (1 / damping - h / 2) times the centripetal acceleration. At h = 5 ms, 280 leaves
-    # two fifths of the drift that the usual 200 does; from about 320 fingers bounce.
+    # alone. In an arm that moves on a curve, a held object drifts by
+    # (1 / damping - h / 2) times the centripetal acceleration, with h the time step.
+    # At h = 5 ms, a damping of 280 has two fifths of the drift of the usual 200; from
+    # about 320 the fingers bounce.
     pad.solref = [-10000.0, -280.0]
-    # Constant and hard: the softness that is left is what creeps under a load.
+    # Constant, high impedance: lower values let a loaded object creep.
     pad.solimp = [0.998, 0.998, 0.001, 0.5, 2.0]
     pad.margin = SKIN_M
 
@@ -153,7 +154,7 @@ def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
 
 @lru_cache
 def _looks() -> dict[str, Surface]:
-    """Return what is seen of the gripper, each part in the frame of its body."""
+    """Return the visible meshes of the gripper, each in the frame of its body."""
     up = (0.0, 0.0, 1.0)
     palm_z, (palm_x, palm_y, palm_height) = _PALM.centre[2], _PALM.size
     low, high = palm_z - 0.5 * palm_height, palm_z + 0.5 * palm_height
@@ -175,7 +176,7 @@ def _looks() -> dict[str, Surface]:
     edge = 0.003
     for side, direction in (("left", 1.0), ("right", -1.0)):
         rubber, back = 0.004, FINGER_THICKNESS_M
-        # The skin in which contacts begin is drawn too, else what is held floats.
+        # The pad is drawn with its contact margin; else held objects seem to float.
         inner = (rubber + SKIN_M) / 2
         pad_flat = (0.5 * FINGER_WIDTH_M - edge / 3, inner - edge / 3)
         pad = Loft(

@@ -1,12 +1,13 @@
-"""Reachable sets: one function for sampling, expert, allocation and reach maps.
+"""Reachable sets, for sampling, expert, allocation and reach maps alike.
 
 A robot reaches a table position if closed-form inverse kinematics has a solution with
 the gripper pointing down, at grasp height *and* at travel height, inside the joint
-limits and clear of the table and of itself. A gripper that points down turns about the
-vertical with the last joint alone, and the base turns all the way round, so reach
-depends on the distance to the base and on nothing else: a ring per arm type. (Where the
-fingers turn next to the base, the inner edge moves by up to 2 mm.) That is computed
-once, and a test compares it with inverse kinematics over the plane.
+limits and without contact with the table or the arm itself. For a gripper that points
+down, the last joint alone sets the yaw, and the base turns through a full circle. So
+reach depends on the distance to the base alone: the reachable set is an annulus per
+arm type. (Where the fingers turn next to the base, its inner radius varies by up to
+2 mm.) The radii are computed once; a test compares them with inverse kinematics over
+the plane.
 """
 
 import math
@@ -29,9 +30,9 @@ from lemma.robots.ur.build import ARMS
 from lemma.robots.ur.kinematics import frames, inverse, top_down
 
 GRASP_HEIGHT_M = 0.02
-"""Height of the tool centre point when it grasps what lies on the table."""
+"""Height of the tool centre point when it grasps an object on the table."""
 TRAVEL_HEIGHT_M = 0.30
-"""Height of the tool centre point when it carries something (paper, section IV)."""
+"""Height of the tool centre point when it carries an object (paper, section IV)."""
 
 _CLEARANCE_M = 0.01
 _RESOLUTION_M = 0.001
@@ -40,25 +41,32 @@ _LARGEST_M = 2.0
 
 @dataclass(frozen=True)
 class Reach:
-    """The ring around its base that an arm type reaches."""
+    """The reachable set of an arm type: an annulus around its base."""
 
     inner_m: float
-    """Nearer than this the arm would touch itself."""
+    """Inner radius [m]; nearer than this the arm collides with itself."""
     travel_m: float
-    """Up to here the arm grasps and carries: the radius of reach."""
+    """Outer radius [m]: up to here the arm both grasps and carries."""
     grasp_m: float
-    """Beyond this it cannot grasp anything with its hand pointing down. A tilted hand
-    gets farther: see :mod:`lemma.robots.could`."""
+    """Largest distance at which the arm grasps with the gripper pointing down [m]. A
+    tilted gripper reaches farther: see :mod:`lemma.robots.could`."""
 
     def margin(self, base: Pose2, x: float, y: float) -> float:
-        """Return how far inside the ring a position is [m]; negative outside."""
+        """Return how far inside the annulus a position is [m]; negative outside.
+
+        Args:
+            base: World from base.
+            x: World x of the position [m].
+            y: World y of the position [m].
+        """
         r = math.hypot(x - base.x, y - base.y)
         return min(r - self.inner_m, self.travel_m - r)
 
     def hold_margin(self, base: Pose2, x: float, y: float) -> float:
-        """Return how far inside the ring in which it holds things low [m].
+        """Return how far inside the annulus of low positions a position is [m].
 
-        An object that was lifted elsewhere may be held, pushed and let go there.
+        There the arm can hold, push and release an object that it lifted elsewhere. The
+        arguments are those of :meth:`margin`; the result is negative outside.
         """
         r = math.hypot(x - base.x, y - base.y)
         return min(r - self.inner_m, self.grasp_m - r)
@@ -67,16 +75,19 @@ class Reach:
 def gripper_ik(
     arm_name: str, world_from_base: FloatArray, pose: FloatArray
 ) -> FloatArray:
-    """Return every usable joint vector that puts the tool centre point at a pose.
+    """Return all collision-free joint angles for a pose of the tool centre point.
 
     Args:
         arm_name: Arm type.
-        world_from_base: (4, 4).
-        pose: World from gripper, at the tool centre point, (4, 4).
+        world_from_base: (4, 4) [m].
+        pose: World from gripper, at the tool centre point, (4, 4) [m].
 
     Returns:
-        Joint angles, (n, 6) [rad]: inside the limits, clear of the table and of the arm
-        itself.
+        Joint angles, (n, 6) [rad], inside the limits and without contact with the table
+        or the arm itself.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     dh, joint_range, links, capsules = ik_constants(arm_name)
     return usable_postures(dh, world_from_base, pose, joint_range, links, capsules)
@@ -86,10 +97,13 @@ def gripper_ik(
 def ik_constants(
     arm_name: str,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what :func:`usable_postures` needs of an arm type.
+    """Return the arguments of :func:`usable_postures` that depend on the arm type.
 
     Returns:
         ``dh``, ``joint_range``, ``links`` and ``capsules``.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     arm, envelope = ARMS[arm_name], envelope_of(arm_name)
     return (
@@ -107,15 +121,18 @@ def usable_postures(
     links: FloatArray,
     capsules: FloatArray,
 ) -> FloatArray:
-    """Do what :func:`gripper_ik` does, for kernels; see there.
+    """Solve inverse kinematics like :func:`gripper_ik`, inside Numba kernels.
 
     Args:
-        dh: Of the arm, (6,) [m].
-        base: World from base, (4, 4).
-        pose: World from gripper, (4, 4).
-        joint_range: Largest angles, (6,) [rad].
-        links: Link that each capsule is fixed to, (n,).
-        capsules: Ends and radius in the frame of the link, (n, 7) [m].
+        dh: Denavit-Hartenberg lengths of the arm, (6,) [m].
+        base: World from base, (4, 4) [m].
+        pose: World from gripper, at the tool centre point, (4, 4) [m].
+        joint_range: Largest absolute angles, (6,) [rad].
+        links: Link frame of each capsule of the arm, (n,).
+        capsules: Both ends and radius in link frames, (n, 7) [m].
+
+    Returns:
+        Joint angles, (n, 6) [rad].
     """
     local = np.zeros((4, 4))
     for i in range(3):
@@ -123,7 +140,7 @@ def usable_postures(
             for k in range(3):
                 local[i, j] += base[k, i] * pose[k, j]
         for k in range(3):
-            # The flange sits behind the tool centre point.
+            # From the tool centre point back to the flange.
             flange = pose[k, 3] - TCP_OFFSET_M * pose[k, 2] - base[k, 3]
             local[i, 3] += base[k, i] * flange
     local[3, 3] = 1.0
@@ -150,17 +167,25 @@ def usable_postures(
 
 
 def can_hold(arm_name: str, base: Pose2, x: float, y: float, z: float) -> bool:
-    """Whether the gripper can point down at a position of the world [m]."""
+    """Return whether the gripper can point down at a position in the world [m].
+
+    Raises:
+        UnknownNameError: No such arm.
+    """
     return len(gripper_ik(arm_name, base.matrix(), top_down(x, y, z, 0.0))) > 0
 
 
 @lru_cache
 def reach_of(arm_name: str) -> Reach:
-    """Return the reach of an arm type."""
+    """Return the reachable set of an arm type.
+
+    Raises:
+        UnknownNameError: No such arm.
+    """
     origin = Pose2(0.0, 0.0)
 
     def edges(z: float) -> tuple[float, float]:
-        """Bisect the two edges of the ring at one height."""
+        """Return the inner and outer radius at one height [m], by bisection."""
         middle = _find_inside(arm_name, z)
         inner = _bisect(lambda r: can_hold(arm_name, origin, r, 0.0, z), middle, 0.0)
         outer = _bisect(
@@ -194,7 +219,7 @@ def _bisect(holds: Callable[[float], bool], inside: float, outside: float) -> fl
 
 
 def reach_map(arm_name: str, base: Pose2, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Rasterise the reach of a robot over the table.
+    """Compute the reach margin of a robot on a grid of positions.
 
     Args:
         arm_name: Arm type.
@@ -203,7 +228,10 @@ def reach_map(arm_name: str, base: Pose2, x: FloatArray, y: FloatArray) -> Float
         y: World y of the rows, (H,) [m].
 
     Returns:
-        Margin [m], (H, W): positive where the robot reaches.
+        Margin, (H, W) [m]: positive where the robot reaches.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     reach = reach_of(arm_name)
     distance = np.sqrt((x[None, :] - base.x) ** 2 + (y[:, None] - base.y) ** 2)

@@ -1,1 +1,1 @@
-"""Scenes: objects, their compiled model, and cameras."""
+"""Scenes: objects, the compiled MuJoCo model, and cameras."""

@@ -1,4 +1,4 @@
-"""From a scene's data to one compiled MuJoCo model."""
+"""Compiles a scene's specification to a MuJoCo model."""
 
 import math
 
@@ -25,12 +25,12 @@ from lemma.scene.table import (
 )
 
 TIME_STEP_S = 0.005
-"""Physics step: 20 Hz control and 10 Hz recording are whole numbers of steps."""
+"""Physics time step; the periods of 20 Hz control and 10 Hz recording are multiples."""
 
 _SKY_PX = 64
 
 ACTUATIONS = ("position", "velocity", "torque")
-"""How the arm's motors are driven: servo on position or on velocity, or open loop."""
+"""Actuators of the arms: position servos, velocity servos, or torques (open loop)."""
 
 
 def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjModel:
@@ -41,7 +41,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
         actuation: One of :data:`ACTUATIONS`.
 
     Raises:
-        UnknownNameError: No such actuation.
+        UnknownNameError: No such actuation or arm.
     """
     if actuation not in ACTUATIONS:
         raise UnknownNameError("actuation", actuation, ACTUATIONS)
@@ -63,27 +63,27 @@ def _set_options(world: mujoco.MjSpec) -> None:
     world.modelname = "lemma"
     world.compiler.degree = False
     world.compiler.usethread = False
-    # Keeps clipping planes and lights the same in every scene.
+    # Constant, so that clipping planes and lights are the same in every scene.
     world.stat.extent = 3.0
     world.stat.center = [0, 0, 0.2]
     option = world.option
     option.timestep = TIME_STEP_S
-    # Implicit integration scales accelerations after the contacts are solved, which
-    # shakes what is held out of the fingers; dampings are small enough for Euler.
+    # Implicit integration reduces accelerations after the contacts are solved, so that
+    # held objects slip. Dampings are small enough for Euler integration.
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.iterations = 100
     option.ls_iterations = 50
     option.tolerance = 1e-8
-    # Friction harder than the normal constraint: a held object does not creep.
+    # Friction is stiffer than the normal constraint, so that held objects do not creep.
     option.impratio = 300
     visual = world.visual
     visual.map.znear = 0.05
     visual.map.zfar = 5.0
-    # Half the width of the region with shadows: the table, sharper than by default.
+    # Half the width of the shadow map: the table alone, for sharper shadows.
     visual.map.shadowclip = 0.9
-    # No light moves with the eye, so that all cameras see the same colors.
+    # No light moves with the camera, so that all cameras see the same colors.
     visual.headlight.ambient = [0.40, 0.40, 0.41]
     visual.headlight.diffuse = [0.0, 0.0, 0.0]
     visual.headlight.specular = [0.0, 0.0, 0.0]
@@ -161,15 +161,15 @@ def _add_light(
     *,
     shadow: bool,
 ) -> None:
-    """Add a lamp so far away that its light is the same everywhere."""
+    """Add a directional light."""
     world.worldbody.add_light(
         name=name,
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        # Where the shadow map is looked at from; the table is in the middle of it.
+        # Viewpoint of the shadow map, whose centre is the table.
         pos=[-4.0 * component for component in direction],
         dir=direction,
         diffuse=color,
-        # Little: a shining surface looks different to every camera.
+        # Low, because specular reflections look different in every camera.
         specular=[0.25 * component if shadow else 0.0 for component in color],
         castshadow=shadow,
     )
@@ -178,7 +178,7 @@ def _add_light(
 def _set_actuation(
     world: mujoco.MjSpec, robot: str, arm: ArmSpec, actuation: str
 ) -> None:
-    """Replace the position servos of one arm where another actuation is asked for."""
+    """Replace the position servos of one arm if the actuation is another one."""
     if actuation == "position":
         return
     for joint, gain in zip(JOINTS, arm.damping, strict=True):

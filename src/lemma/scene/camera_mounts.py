@@ -1,4 +1,4 @@
-"""Where cameras and waiting arms stand, derived from the robots."""
+"""Poses of the robots' cameras, derived from bases and reach."""
 
 import math
 
@@ -14,25 +14,28 @@ CAMERA_FOVY_RAD = math.radians(56.0)
 CAMERA_WIDTH_PX = 640
 CAMERA_HEIGHT_PX = 480
 REACH_EDGE_M = 0.05
-"""How much more of the table than its reach a robot's close camera sees [m]."""
+"""Margin around a robot's reach in the view of its close camera [m]."""
 _NEAREST = 0.49
-"""How far behind its base a robot's camera sees, as a share of what the robot could
-touch. Objects lie nowhere else."""
+"""Visible distance behind a robot's base, as a fraction of :attr:`.Could.touch_m`; no
+object is farther behind."""
 _HEIGHT = 1.72
-"""Height of a robot's cameras, as a share of what the robot could touch."""
+"""Height of a robot's cameras, as a fraction of :attr:`.Could.touch_m`."""
 _IMAGE_MARGIN = 0.94
-"""Fraction of the half image in which an object's centre counts as seen."""
+"""Fraction of the half image within which an object's centre counts as visible."""
 
 
 def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
-    """Return where a robot's camera hangs: above it, looking at its half of the table.
+    """Return the pose of a robot's camera: above it, directed at its half of the table.
 
-    The camera sees what the robot reaches, and what it touches with the stick in its
-    hand. Its height grows with the arm's reach.
+    The view includes all that the robot reaches, also with the stick. The height grows
+    with the arm's reach.
+
+    Args:
+        robot: The robot.
 
     Returns:
-        World from camera (x right, y down, z forward) and the vertical field of view
-        [rad].
+        World from camera (x right, y down, z forward) [m] and the vertical field of
+        view [rad].
     """
     reach = could_of(robot.arm).touch_m
     height = _HEIGHT * reach
@@ -51,14 +54,17 @@ def camera_mount(robot: RobotPlacement) -> tuple[Pose, float]:
 
 
 def reach_mount(robot: RobotPlacement) -> tuple[Pose, float]:
-    """Return where a robot's close camera hangs: as high as its other one.
+    """Return the pose of a robot's close camera, as high as :func:`camera_mount`.
 
-    It looks straight down and is cropped to the smallest square on the table that holds
-    all that the robot reaches where objects lie, with a margin for their height.
+    It looks straight down. Its view is the smallest square on the table that includes
+    all positions of objects that the robot reaches, with a margin for their height.
+
+    Args:
+        robot: The robot.
 
     Returns:
-        World from camera (x right, y down, z forward) and the field of view of the
-        shorter side of the picture [rad].
+        World from camera (x right, y down, z forward) [m] and the field of view of the
+        shorter side of the image [rad].
     """
     touch = could_of(robot.arm).touch_m
     half = reach_of(robot.arm).travel_m + REACH_EDGE_M
@@ -77,10 +83,10 @@ def reach_mount(robot: RobotPlacement) -> tuple[Pose, float]:
 
 
 class CameraFootprint:
-    """Part of the table that a robot's camera sees."""
+    """The part of the table that a robot's camera sees."""
 
     def __init__(self, robot: RobotPlacement) -> None:
-        """Look from where the robot's camera hangs."""
+        """Use the camera of the given robot."""
         pose, fovy = camera_mount(robot)
         self._eye = pose.position
         self._rotation = matrix_from_quaternion(pose.quaternion)
@@ -88,11 +94,14 @@ class CameraFootprint:
         self._half = (half * CAMERA_WIDTH_PX / CAMERA_HEIGHT_PX, half)
 
     def sees(self, x: FloatArray, y: FloatArray) -> NDArray[np.bool_]:
-        """Return which positions on the table lie well inside the image.
+        """Return whether positions on the table are inside the image with a margin.
 
         Args:
-            x: World positions, (n,) [m].
-            y: World positions, (n,) [m].
+            x: World x, (n,) [m].
+            y: World y, (n,) [m].
+
+        Returns:
+            One flag per position, (n,).
         """
         offset = (x - self._eye[0], y - self._eye[1], -self._eye[2])
         right, down, forward = (

@@ -1,4 +1,4 @@
-"""Cameras: where they are, and which point of the world each pixel sees.
+"""Calibrated cameras: poses, intrinsics, projection of points.
 
 Camera frames follow OpenCV: x right, y down, z forward (MuJoCo's own have y up and z
 backward). Pixel coordinates follow OpenCV as well: u grows to the right, v grows
@@ -6,7 +6,7 @@ downward, and the centre of the pixel in row r and column c is (u, v) = (c, r). 
 image thus spans u from -0.5 to width - 0.5, and its centre is ((width - 1) / 2,
 (height - 1) / 2). Depth is the distance along the camera's z axis, not along the ray.
 
-Plain data: nothing here needs MuJoCo. Cameras of a compiled scene are in
+This module does not need MuJoCo. Cameras of a compiled scene are in
 :mod:`lemma.scene.rendering.model_cameras`.
 """
 
@@ -24,7 +24,7 @@ RgbImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
 
 CLOSE_PX = 224
-"""Width and height of images at control level, unless others are asked for [px]."""
+"""Default width and height of images at control level [px]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,15 @@ class CameraIntrinsics:
 
     @classmethod
     def from_fovy(cls, fovy_rad: float, width: int, height: int) -> "CameraIntrinsics":
-        """Return square pixels, centred, with a vertical field of view [rad].
+        """Return intrinsics with square pixels and a centred principal point.
+
+        Args:
+            fovy_rad: Vertical field of view [rad].
+            width: Image width [px].
+            height: Image height [px].
 
         Raises:
-            InvalidConfigError: No such camera can be.
+            InvalidConfigError: The size or the field of view is impossible.
         """
         if width < 1 or height < 1:
             raise InvalidConfigError(
@@ -68,12 +73,18 @@ class CameraIntrinsics:
     def from_shorter_side(
         cls, fov_rad: float, width: int, height: int
     ) -> "CameraIntrinsics":
-        """Return square pixels, centred, with the shorter side's field of view [rad].
+        """Return intrinsics like :meth:`from_fovy`, but for the shorter side.
 
-        A square in the middle of the view is seen whole in pictures of any shape.
+        The largest square in the middle of the image then has the same view at any
+        aspect ratio.
+
+        Args:
+            fov_rad: Field of view of the shorter side [rad].
+            width: Image width [px].
+            height: Image height [px].
 
         Raises:
-            InvalidConfigError: No such camera can be.
+            InvalidConfigError: The size or the field of view is impossible.
         """
         longer = max(1.0, height / max(1, width))
         fovy_rad = 2.0 * math.atan(math.tan(0.5 * fov_rad) * longer)
@@ -94,21 +105,21 @@ class Camera:
     """A calibrated camera."""
 
     name: str
-    """Its name in the scene."""
+    """Name in the scene."""
     world_from_camera: Pose
-    """Where it is; x right, y down, z forward."""
+    """World from camera; x right, y down, z forward."""
     intrinsics: CameraIntrinsics
-    """Its pinhole model."""
+    """The pinhole model."""
 
     def project(self, points_world: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return where points appear in the image.
+        """Project points to the image.
 
         Args:
             points_world: Points in the world frame [m], shape (N, 3).
 
         Returns:
-            Pixels (u, v), shape (N, 2), and depths [m], shape (N,). A point that is
-            not in front of the camera (depth <= 0) has no pixel: NaN.
+            Pixels (u, v), shape (N, 2), and depths [m], shape (N,). The pixel of a
+            point that is not in front of the camera (depth <= 0) is NaN.
         """
         points = np.asarray(points_world, dtype=np.float64).reshape(-1, 3)
         matrix = self.world_from_camera.matrix()
@@ -121,17 +132,17 @@ class Camera:
         return np.stack([u, v], axis=1), depth
 
     def unproject(self, depth_m: ArrayLike) -> FloatArray:
-        """Return the points that the pixels of a depth image see.
+        """Return the points of a depth image.
 
         Args:
             depth_m: Depth image [m], shape (height, width).
 
         Returns:
             Points in the world frame [m], shape (height, width, 3); NaN where the
-            depth is 0, which means that nothing was seen.
+            depth is 0 (no surface).
 
         Raises:
-            InvalidConfigError: The image has another size than the camera's.
+            InvalidConfigError: The image's size differs from the camera's.
         """
         depth = np.asarray(depth_m, dtype=np.float64)
         lens = self.intrinsics
@@ -148,33 +159,33 @@ class Camera:
 
 
 class CameraImage(NamedTuple):
-    """Image of a camera."""
+    """Color and depth image of a camera."""
 
     rgb: RgbImage
     """Color, shape (height, width, 3)."""
     depth_m: DepthImage
-    """Distance along the camera's z axis [m], shape (height, width); 0: nothing."""
+    """Distance along the camera's z axis [m], shape (height, width); 0: no surface."""
     camera: Camera
-    """The camera, where it was."""
+    """The camera at the time of the image."""
 
 
 @dataclass(frozen=True, slots=True)
 class FreeCamera:
-    """A camera for people, that orbits a point; it is not part of the scene."""
+    """A camera for viewers that orbits a point; it is not part of the scene."""
 
     lookat: tuple[float, float, float] = (0.0, 0.0, 0.1)
-    """The point in the middle of the picture [m], world frame."""
+    """The point at the centre of the image [m], world frame."""
     distance: float = 3.0
     """Distance from that point [m]."""
     azimuth_deg: float = 90.0
-    """Direction of view about the vertical: 0 looks along +x, 90 along +y [deg]."""
+    """Azimuth of the viewing direction: 0 is along +x, 90 along +y [deg]."""
     elevation_deg: float = -35.0
-    """Direction of view against the horizontal: negative looks down [deg]."""
+    """Elevation of the viewing direction: negative is down [deg]."""
     fovy_deg: float = 40.0
     """Vertical field of view [deg]."""
 
     def camera(self, width: int, height: int) -> Camera:
-        """Return it as a calibrated camera, to draw over its pictures.
+        """Return the equivalent calibrated camera, for overlays on its images.
 
         Args:
             width: Image width [px].

@@ -1,13 +1,13 @@
-"""Objects that move by themselves: thrown, struck or dropped.
+"""Detects thrown objects: objects that move without a robot.
 
-Reach decides who can do what only as long as nothing travels without a hand. So an
-object may move by itself no farther than :data:`COAST_M` before it rests, and fly no
-longer than :data:`FLIGHT_S`; with more it has been *thrown*.
+Reach only limits what a robot can do if objects do not move without a robot. So an
+object may coast no farther than :data:`COAST_M` before it rests, and fly no longer than
+:data:`FLIGHT_S`; otherwise it counts as *thrown*.
 
-A robot *leads* an object if it touches it, or something else that is not fixed and
-touches it, over any number of such things: a cube in the fingers, one that the stick
-pushes, the upper one of two that are carried together. An object *flies* if nothing of
-the kind leads from it to a robot, the table or the floor.
+A robot *leads* an object if it touches the object directly or through a chain of
+movable objects in contact: a cube in the gripper, a cube that the stick pushes, the
+upper one of two carried cubes. An object *flies* if no such chain connects it to a
+robot, the table or the floor.
 """
 
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 
 COAST_M = 0.04
-"""How far the middle of mass of an object may get from where a robot last led it, or
-where it rested since, seen from above [m]."""
+"""Largest horizontal distance of an object's centre of mass from its position when a
+robot last led it, or when it last rested [m]."""
 FLIGHT_S = 0.15
-"""How long it may touch nothing [s]: a fall of 11 cm."""
+"""Longest flight [s], which corresponds to a fall of 11 cm."""
 
 _SLOW_M_S = 0.02
 _REST_TICKS = 10
-"""Objects rest when all have been slower than this for so many servo ticks."""
+"""Number of servo ticks that all objects must be slow to count as resting."""
 _ROOM, _ROBOT = -1, -2
 
 
 @dataclass(frozen=True, slots=True)
 class CoastingState:
-    """State of a :class:`Coasting`; plain data."""
+    """Copied state of a :class:`Coasting`."""
 
     left_m: FloatArray
     since_s: FloatArray
@@ -43,39 +43,41 @@ class CoastingState:
 
 
 class Coasting:
-    """How far, and for how long, each object of a scene has moved by itself."""
+    """Tracks how far and how long each object of a scene moves without a robot."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Begin in a state in which no robot touches anything.
+        """Start in a state in which no robot touches an object.
 
         Args:
             model: The scene's model.
-            data: Its data, which are looked at.
+            data: Its data, which are read at every call.
         """
         free = [j for j in range(model.njnt) if model.jnt_type[j] == 0]
         self._data = data
         self._qpos, self._qvel = data.qpos, data.qvel
         self.qpos_at = model.jnt_qposadr[free].astype(np.int64)
-        """Where the position of each object begins in ``qpos``, (objects,)."""
+        """Address of each object's position in ``qpos``, (objects,)."""
         self.qvel_at = model.jnt_dofadr[free].astype(np.int64)
-        """Where its velocity begins in ``qvel``, (objects,)."""
+        """Address of each object's velocity in ``qvel``, (objects,)."""
         self.mass_at = model.body_ipos[[int(model.jnt_bodyid[j]) for j in free]]
         self.mass_at = np.ascontiguousarray(self.mass_at.reshape(-1, 3))
-        """Its middle of mass in its frame, (objects, 3) [m]."""
+        """Centre of mass of each object in its frame, (objects, 3) [m]."""
         self.owner = _owners(model, [int(model.jnt_bodyid[j]) for j in free])
-        """Owner of each geom, (ngeom,): an object; below 0 the room, a robot."""
+        """Owner of each geom, (ngeom,): index of an object; negative for the room or a
+        robot."""
         self.names = tuple(model.body(int(model.jnt_bodyid[j])).name for j in free)
         """The objects that are not fixed to the table."""
         self.left_m = np.zeros((len(free), 2))
-        """Where a robot last led it, or where it was first, (objects, 2) [m]."""
+        """World x, y of each object's centre of mass when a robot last led it or it
+        last rested, (objects, 2) [m]."""
         self.since_s = np.zeros(len(free))
-        """When it last touched something, (objects,) [s]."""
+        """Simulated time of each object's last contact, (objects,) [s]."""
         self._thrown = np.zeros(len(free), np.bool_)
         self._fallen = np.zeros(len(free), np.bool_)
         self._held = np.zeros(len(free), np.bool_)
         self._resting = np.zeros(len(free), np.bool_)
         self._awake = 0
-        # Bound once: to collect the arguments takes as long as to pass them.
+        # Bound once, because collecting the arguments takes as long as passing them.
         self._rest = partial(
             _rest,
             *(self._qvel, self.qvel_at, self._qpos, self.qpos_at, self.mass_at),
@@ -87,7 +89,7 @@ class Coasting:
             self.put(name)
 
     def put(self, name: str) -> None:
-        """Begin anew with an object that somebody has put where it is now."""
+        """Reset the tracking of an object that was moved to its present pose."""
         k = self.names.index(name)
         self.left_m[k] = _middle(self._qpos, self.qpos_at[k], self.mass_at[k])
         self.since_s[k] = self._data.time
@@ -102,47 +104,47 @@ class Coasting:
 
     @property
     def fallen(self) -> tuple[str, ...]:
-        """Names of the objects whose middle of mass is below the table's top."""
-        # Environments ask for this in every control step: one call for all.
+        """Names of the objects whose centre of mass is below the table's top."""
+        # Environments call this in every control step: one kernel call for all objects.
         if not _find_fallen(self._qpos, self.qpos_at, self.mass_at, self._fallen):
             return ()
         pairs = zip(self.names, self._fallen.tolist(), strict=True)
         return tuple(name for name, fallen in pairs if fallen)
 
     def state(self) -> CoastingState:
-        """Return what is known so far."""
+        """Return a copy of the state."""
         return CoastingState(
             self.left_m.copy(), self.since_s.copy(), self._thrown.copy(), self._awake
         )
 
     def restore(self, state: CoastingState) -> None:
-        """Go back to what was known before."""
+        """Restore a state that :meth:`state` returned."""
         self.left_m[:], self.since_s[:] = state.left_m, state.since_s
         self._thrown[:] = state.thrown
         self._awake, self.is_thrown = state.awake, bool(state.thrown.any())
 
     def middles(self) -> FloatArray:
-        """Return where the middles of mass are, seen from above, (objects, 2) [m]."""
+        """Return world x, y of the objects' centres of mass, (objects, 2) [m]."""
         pairs = zip(self.qpos_at, self.mass_at, strict=True)
         found = [_middle(self._qpos, at, mass) for at, mass in pairs]
         return np.array(found).reshape(-1, 2)
 
     def led(self) -> NDArray[np.bool_]:
-        """Return which objects a robot leads at this moment, (objects,)."""
+        """Return for each object whether a robot leads it now, (objects,)."""
         led, carried = np.zeros_like(self._held), np.zeros_like(self._held)
         note_leads(self._data.contact.geom, self.owner, led, carried)
         return led
 
     def note(self) -> None:
-        """Note who touches whom. Call it after every physics step.
+        """Record contacts. Call this after every physics step.
 
-        A cube that is pushed is knocked ahead again and again, each time for a step.
+        Contacts with a pushed cube are intermittent: many last a single step.
         """
         if self._awake:
             note_leads(self._data.contact.geom, self.owner, self._held, self._resting)
 
     def look(self) -> None:
-        """Look at the present state. Call it once a servo tick."""
+        """Evaluate the recorded contacts. Call this once per servo tick."""
         now, awake = self._data.time, self._awake
         if awake <= 1:
             if self._rest(now):
@@ -168,7 +170,7 @@ class Coasting:
 
 
 def _owners(model: mujoco.MjModel, bodies: list[int]) -> NDArray[np.int64]:
-    """Return the owner of each geom: an object, a robot or the room, (ngeom,)."""
+    """Return the owner of each geom, (ngeom,): an object, a robot or the room."""
     owner = np.full(model.ngeom, _ROOM, np.int64)
     for geom in range(model.ngeom):
         root = int(model.body_rootid[model.geom_bodyid[geom]])
@@ -186,7 +188,7 @@ def _find_fallen(
     mass_at: FloatArray,
     fallen: NDArray[np.bool_],
 ) -> bool:
-    """Note which objects are below the table's top; return whether any is."""
+    """Write which objects are below the table's top; return whether any is."""
     found = False
     for k in range(len(qpos_at)):
         at = qpos_at[k]
@@ -202,7 +204,7 @@ def _find_fallen(
 
 @kernel
 def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, float]:
-    """Return where the middle of mass of an object is, seen from above [m]."""
+    """Return world x, y of an object's centre of mass [m]."""
     w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
     a, b, c = mass_at[0], mass_at[1], mass_at[2]
     u = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * ((x * y - w * z) * b)
@@ -214,7 +216,7 @@ def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, floa
 
 @kernel
 def _are_slow(qvel: FloatArray, qvel_at: NDArray[np.int64]) -> bool:
-    """Whether all objects are slow."""
+    """Return whether all objects are slow."""
     for at in qvel_at:
         x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
         if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
@@ -233,7 +235,7 @@ def _rest(  # noqa: PLR0913
     since_s: FloatArray,
     now: float,
 ) -> bool:
-    """Take where objects are as where they rest, if all are slow; return that."""
+    """If all objects are slow, set their rest positions; return whether they are."""
     if not _are_slow(qvel, qvel_at):
         return False
     for k in range(len(qpos_at)):
@@ -249,7 +251,15 @@ def note_leads(
     held: NDArray[np.bool_],
     resting: NDArray[np.bool_],
 ) -> None:
-    """Note which objects a robot leads, and which ones a robot or the room carries."""
+    """Set flags of objects that a robot leads, and of objects that do not fly.
+
+    Args:
+        contacts: Both geoms of each contact, (ncon, 2).
+        owner: Owner of each geom, (ngeom,).
+        held: Set for objects that a robot leads, (objects,).
+        resting: Set for objects in contact with robot or room, also through other
+            objects, (objects,).
+    """
     led, carried = np.zeros_like(held), np.zeros_like(held)
     changed = True
     while changed:
@@ -280,7 +290,7 @@ def _follow(  # noqa: PLR0913
     thrown: NDArray[np.bool_],
     now: float,
 ) -> bool:
-    """Take up and clear what was noted; return whether an object is newly thrown."""
+    """Evaluate and clear the flags; return whether an object is newly thrown."""
     newly = False
     for k in range(len(held)):
         x, y = _middle(qpos, qpos_at[k], mass_at[k])

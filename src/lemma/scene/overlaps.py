@@ -1,4 +1,4 @@
-"""Whether a scene can be set up: nothing lies in something else or beside the table."""
+"""Checks a scene for overlapping objects and objects beside the table."""
 
 import numpy as np
 
@@ -9,14 +9,14 @@ from lemma.scene.scene import Scene
 from lemma.scene.table import TABLE_HALF_Y_M, lies_on_table, tops
 
 TOLERANCE_M = 0.005
-"""Penetration that contacts resolve gently."""
+"""Penetration that contacts resolve without visible motion."""
 
 
 def check_layout(scene: Scene) -> None:
-    """Check where the objects and robots of a scene are now; changes no state.
+    """Check the present positions of objects and robots; the state does not change.
 
-    Physics would throw apart what overlaps, and objects would fall forever beside the
-    table.
+    Physics would throw overlapping objects apart, and objects beside the table would
+    fall.
 
     Raises:
         InvalidConfigError: Two of them overlap, or an object's origin is not on the
@@ -33,14 +33,15 @@ def check_layout(scene: Scene) -> None:
 
 
 def check_place(scene: Scene, name: str) -> None:
-    """Check where one object of a scene is now; changes no state.
+    """Check the present position of one object; the state does not change.
 
     Args:
-        scene: As it is, in the middle of an episode or before.
-        name: Of the object.
+        scene: The scene, before or during an episode.
+        name: Name of the object.
 
     Raises:
-        InvalidConfigError: It overlaps with something, or does not lie on the table.
+        InvalidConfigError: It overlaps with another object or a robot, or is not on the
+            table.
     """
     _check_on_table(scene, name)
     for *both, depth_m in _overlaps(scene):
@@ -61,12 +62,12 @@ def _check_on_table(scene: Scene, name: str) -> None:
 
 
 def _overlaps(scene: Scene) -> list[tuple[str, str, float]]:
-    """Return which things may be in each other, and how deep [m]."""
+    """Return pairs of overlapping objects or robots, with the penetration depth [m]."""
     model, data = scene.model, scene.data
     scene.refresh()
     solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     roots = model.body_rootid[model.geom_bodyid[solid]]
-    # All that belongs to the room hangs from the world.
+    # Geoms of the room belong to the world body.
     solid, roots = solid[roots > 0], roots[roots > 0]
     position, radius = data.geom_xpos[solid], model.geom_rbound[solid]
     near = np.abs(position[:, None] - position).max(-1) < radius[:, None] + radius

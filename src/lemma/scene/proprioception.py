@@ -1,7 +1,7 @@
 """Proprioception: joints, gripper and tool centre point, in one compiled call.
 
-Pictures aside this is all that an observation measures, in every step of every
-environment; array by array it takes longer than the physics between two of them.
+These are all measurements in an observation except images. Environments compute them in
+every step; separate NumPy calls would take longer than the physics of a step.
 """
 
 import math
@@ -35,13 +35,16 @@ class Proprioception:
     def __init__(
         self, scene: Scene, names: Sequence[str], low: Float32Array, high: Float32Array
     ) -> None:
-        """Look up where the robots are in the arrays of the simulation.
+        """Look up the addresses of the robots in the arrays of the simulation.
 
         Args:
             scene: The scene.
-            names: Names of the robots.
-            low: Smallest values of all that is measured, (21 n,).
-            high: Largest values.
+            names: Names of n robots.
+            low: Smallest values of all measurements, (21 n,).
+            high: Largest values of all measurements, (21 n,).
+
+        Raises:
+            UnknownNameError: The scene has no such robot.
         """
         self.scene = scene
         self._count = 7 * len(names)
@@ -56,9 +59,12 @@ class Proprioception:
         self._qvel: FloatArray = scene.data.qvel
 
     def measure(self) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """Return joints and openings, their rates, and poses of the tool centre points.
+        """Return the measurements of all robots, clipped to the bounds.
 
-        Each has seven numbers for every robot, (7 n,), clipped to the bounds.
+        Returns:
+            Three arrays with seven values per robot, (7 n,): joint angles [rad] and
+            opening [m], their rates [rad/s, m/s], and position [m] with quaternion of
+            the tool centre point.
         """
         out = np.empty(3 * self._count, np.float32)
         _measure(self._robots, self._qpos, self._qvel, self._low, self._high, out)
@@ -102,7 +108,7 @@ def _measure(
 
 @kernel
 def _turn(r: FloatArray, out: FloatArray) -> None:
-    """Do what :func:`lemma.core.poses.quaternion_from_matrix` does."""
+    """Compute :func:`lemma.core.poses.quaternion_from_matrix` inside a kernel."""
     squares = (
         1 + r[0, 0] + r[1, 1] + r[2, 2],
         1 + r[0, 0] - r[1, 1] - r[2, 2],

@@ -1,8 +1,8 @@
-"""Regions: parts of the table in which several robots work, derived from their bases.
+"""Regions: parts of the table that several robots reach, derived from their bases.
 
-A region is a place for sub-tasks: somebody puts a thing down there, somebody else takes
-it. The region of a whole team is called ``"shared"``. Where no place is reached by the
-whole team, each pair of robots that has one has a region: ``"shared_01"`` is that of
+A region is a place for sub-tasks: one robot puts an object down there, and another one
+picks it up. The region that the whole team reaches is called ``"shared"``. If there is
+none, each pair of robots with common reach has a region: ``"shared_01"`` is that of
 ``robot_0`` and ``robot_1``.
 """
 
@@ -18,7 +18,7 @@ from lemma.scene.objects.entity import SHARED, pair_regions
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, lies_on_table
 
 EDGE_M = 0.05
-"""Things are put down no nearer to an edge of the table than this [m]."""
+"""Smallest distance from the table's edge at which objects are put down [m]."""
 
 _GRID_M = 0.02
 _MARGIN_M = 0.03
@@ -27,7 +27,7 @@ _GOOD_MARGIN_M = 0.10
 Stand = tuple[str, Pose2]
 """Arm type and base of a robot."""
 Spot = tuple[float, float, float]
-"""x, y, and the smallest margin of any robot there, where more is no better [m]."""
+"""World x and y, and the smallest reach margin of any robot there, capped [m]."""
 
 
 @lru_cache(maxsize=64)
@@ -38,12 +38,15 @@ def regions_of(
 
     Args:
         stands: The robots.
-        gap_m: Where the table is missing.
+        gap_m: The gap in the table; None without one.
 
     Returns:
         The robots of each region, as indices in the team: ``{"shared": (0, 1, ...)}``
-        for one or two robots, and for more where all of them reach a place. Otherwise
-        a region for each pair that shares one.
+        for one or two robots, and for larger teams with common reach. Otherwise one
+        region for each pair with common reach.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     team = tuple(range(len(stands)))
     if len(team) <= 2 or spots_of(stands, gap_m):
@@ -60,11 +63,14 @@ def regions_of(
 
 @lru_cache(maxsize=64)
 def spots_of(stands: tuple[Stand, ...], gap_m: Gap | None) -> tuple[Spot, ...]:
-    """Return the places that all of some robots reach with a margin, best first.
+    """Return the positions that all given robots reach with a margin, best first.
 
     Args:
         stands: The robots.
-        gap_m: Where the table is missing.
+        gap_m: The gap in the table; None without one.
+
+    Raises:
+        UnknownNameError: No such arm.
     """
     spots = []
     reaches = [(reach_of(arm), base) for arm, base in stands]
@@ -83,5 +89,5 @@ def spots_of(stands: tuple[Stand, ...], gap_m: Gap | None) -> tuple[Spot, ...]:
                     break
             else:
                 spots.append((x, y, min(margin, _GOOD_MARGIN_M)))
-    # Best first, and among equals the most central.
+    # Largest margin first, and among equal ones the most central.
     return tuple(sorted(spots, key=lambda s: (-s[2], s[0] ** 2 + s[1] ** 2)))

@@ -1,4 +1,4 @@
-"""A compiled scene: its physics, and names instead of addresses."""
+"""A compiled scene: physics, with access to objects and robots by name."""
 
 import hashlib
 import math
@@ -23,7 +23,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 @dataclass(frozen=True)
 class RobotIndex:
-    """Where one robot lives in the model's arrays."""
+    """Addresses of one robot in the model's arrays."""
 
     name: str
     placement: RobotPlacement
@@ -37,22 +37,25 @@ class RobotIndex:
     gripper_ctrl: int
     finger_qpos: tuple[int, int]
     world_from_base: FloatArray
-    """(4, 4)."""
+    """(4, 4) [m]."""
 
 
 class Scene:
-    """One world: model, data and everything that is found by name.
+    """A compiled model with its data, and access by name.
 
-    Positions are read from the generalised coordinates, never from derived quantities,
-    so they are current right after a step.
+    Positions are computed from generalised coordinates, not from derived quantities, so
+    they are up to date directly after a step.
     """
 
     def __init__(self, spec: SceneSpec, actuation: str = "position") -> None:
-        """Compile a scene and set it to its first state.
+        """Compile a scene and set its initial state.
 
         Args:
             spec: The scene.
             actuation: ``"position"``, ``"velocity"`` or ``"torque"``.
+
+        Raises:
+            UnknownNameError: No such actuation.
         """
         self.spec = spec
         self.actuation = actuation
@@ -70,7 +73,8 @@ class Scene:
         self._free_dof = {
             name: int(self.model.joint(name).dofadr[0]) for name in self._free_qpos
         }
-        # Asked for so often that making the view anew would show.
+        # Views are kept, because creating them at every access would take noticeable
+        # time.
         self._qpos: FloatArray = self.data.qpos
         self._qvel: FloatArray = self.data.qvel
         self._fixed_poses = {
@@ -89,7 +93,7 @@ class Scene:
         }
         self._state_size = mujoco.mj_stateSize(self.model, _STATE)
         self.coasting = Coasting(self.model, self.data)
-        """How far each object has moved by itself."""
+        """Tracks objects that move without a robot."""
 
     def _index_robot(self, name: str, placement: RobotPlacement) -> RobotIndex:
         model = self.model
@@ -115,7 +119,7 @@ class Scene:
 
     @property
     def time_s(self) -> float:
-        """Simulated time since the first state [s]."""
+        """Simulated time since the initial state [s]."""
         return float(self.data.time)
 
     def robot(self, name: str) -> RobotIndex:
@@ -135,7 +139,11 @@ class Scene:
         return tuple(self._free_qpos)
 
     def pose(self, name: str) -> Pose:
-        """Return the pose of an object's body frame in the world."""
+        """Return the pose of an object's body frame in the world.
+
+        Raises:
+            UnknownNameError: There is no such object in this scene.
+        """
         address = self._free_qpos.get(name)
         if address is None:
             if name not in self._fixed_poses:
@@ -148,7 +156,11 @@ class Scene:
         return UnknownNameError("object in this scene", name, self.spec.object_names)
 
     def pose_row(self, name: str) -> FloatArray:
-        """Return position [m] and quaternion wxyz of an object, (7,)."""
+        """Return position [m] and quaternion wxyz of an object, (7,).
+
+        Raises:
+            UnknownNameError: There is no such object in this scene.
+        """
         address = self._free_qpos.get(name)
         row: FloatArray
         if address is not None:
@@ -160,11 +172,15 @@ class Scene:
         return row
 
     def qpos_of(self, name: str) -> int:
-        """Return where ``data.qpos`` has an object's pose; -1 for what is fixed."""
+        """Return the address of an object's pose in ``data.qpos``; -1 if fixed."""
         return self._free_qpos.get(name, -1)
 
     def position(self, name: str) -> list[float]:
-        """Return where the body frame of an object is in the world, (3,) [m]."""
+        """Return the world position of an object's body frame, (3,) [m].
+
+        Raises:
+            UnknownNameError: There is no such object in this scene.
+        """
         address = self._free_qpos.get(name)
         if address is None:
             return list(self.pose(name).position)
@@ -172,14 +188,22 @@ class Scene:
         return found
 
     def pose2(self, name: str) -> Pose2:
-        """Return the pose of an object on the table: the heading of its x axis."""
+        """Return the planar pose of an object; the yaw is that of its x axis.
+
+        Raises:
+            UnknownNameError: There is no such object in this scene.
+        """
         pose = self.pose(name)
         w, x, y, z = pose.quaternion
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return Pose2(pose.position[0], pose.position[1], yaw)
 
     def set_pose(self, name: str, pose: Pose) -> None:
-        """Move an object that is not fixed to the table, and stop it."""
+        """Set the pose of a movable object, at rest.
+
+        Raises:
+            UnknownNameError: There is no such movable object in this scene.
+        """
         address = self._free_qpos.get(name)
         if address is None:
             raise UnknownNameError("movable object", name, self._free_qpos)
@@ -190,7 +214,7 @@ class Scene:
         self.coasting.put(name)
 
     def speed(self, name: str) -> float:
-        """Return the linear speed of an object [m/s]; 0 where it is fixed."""
+        """Return the linear speed of an object [m/s]; 0 if it is fixed."""
         dof = self._free_dof.get(name)
         if dof is None:
             return 0.0
@@ -198,7 +222,7 @@ class Scene:
         return math.sqrt(vx * vx + vy * vy + vz * vz)
 
     def turn_rate(self, name: str) -> float:
-        """Return how fast an object turns [rad/s]; 0 where it is fixed."""
+        """Return the angular speed of an object [rad/s]; 0 if it is fixed."""
         dof = self._free_dof.get(name)
         if dof is None:
             return 0.0
@@ -209,12 +233,18 @@ class Scene:
     def fallen(self) -> tuple[str, ...]:
         """Names of the objects that have fallen off the table.
 
-        Their center of mass is below its top, where no skill goes.
+        Their centre of mass is below its top, where no skill can reach.
         """
         return self.coasting.fallen
 
     def set_joints(self, robot: RobotIndex, q: FloatArray, opening_m: float) -> None:
-        """Put one arm at joint angles ``q`` (6,) [rad], at rest, servos there too."""
+        """Set one arm and its servos to joint angles ``q``, (6,) [rad], at rest.
+
+        Args:
+            robot: The robot.
+            q: Joint angles, (6,) [rad].
+            opening_m: Distance between the finger pads [m].
+        """
         self.data.qpos[robot.qpos] = q
         self.data.qvel[robot.dof] = 0.0
         for address in robot.finger_qpos:
@@ -238,7 +268,7 @@ class Scene:
         return self._entity_by_body.get(body)
 
     def snapshot(self) -> FloatArray:
-        """Return the full integration state: continuing from it is exact to the bit."""
+        """Return MuJoCo's full integration state, (n,), for bit-exact continuation."""
         state = np.empty(self._state_size)
         mujoco.mj_getState(self.model, self.data, state, _STATE)
         return state
@@ -249,17 +279,17 @@ class Scene:
         self.refresh()
 
     def refresh(self) -> None:
-        """Update derived poses, for rendering; leaves the integration state alone."""
+        """Update derived poses, for rendering; the integration state is unchanged."""
         _derive(self.model, self.data)
 
     def posed(self, qpos: FloatArray) -> mujoco.MjData:
-        """Return other data than the scene's with derived poses, for rendering.
+        """Return separate data with derived poses of another state, for rendering.
 
         Args:
-            qpos: The positions of all joints, (nq,).
+            qpos: Positions of all joints, (nq,).
 
         Returns:
-            Derived poses, valid until the next call.
+            The data, valid until the next call.
         """
         self._posed.qpos[:] = qpos
         _derive(self.model, self._posed)
@@ -271,13 +301,13 @@ class Scene:
         return parts_of_robots(self.model, [robot.name for robot in self.robots])
 
     def held(self) -> dict[str, str]:
-        """Return what each gripper holds: robot name to entity name.
+        """Return the held entities by robot.
 
-        An object is held when both finger pads of a gripper touch it.
+        An object is held if both finger pads of a gripper touch it.
         """
         contacts, parts = self.data.contact.geom, self.parts
         touching: dict[tuple[int, str], int] = {}
-        # Asked at every step, and few contacts are those of pads.
+        # This runs in every step, so filter first: few contacts involve pads.
         for contact, side in np.argwhere(parts[contacts, 1] >= LEFT).tolist():
             robot, pad = parts[contacts[contact, side]].tolist()
             body = self.model.geom_bodyid[contacts[contact, 1 - side]]
@@ -291,7 +321,7 @@ class Scene:
 
     @cached_property
     def tcp_sites(self) -> NDArray[np.int64]:
-        """Site of the tool centre point of each robot, (robots,)."""
+        """Index of the site at each robot's tool centre point, (robots,)."""
         return np.array([self.model.site(f"{r.name}/tcp").id for r in self.robots])
 
     @cached_property
@@ -304,7 +334,7 @@ class Scene:
 
 
 def _lying(placed: ObjectPlacement) -> Pose:
-    """Return the pose of an object's body frame where it is placed."""
+    """Return the initial pose of an object's body frame in the world."""
     half = placed.pose.yaw / 2
     return Pose(
         (placed.pose.x, placed.pose.y, placed.entity.kind.origin_m),

@@ -16,31 +16,31 @@ from lemma.scene.table import TABLE_HALF_X_M, Gap
 
 ROBOT_COLORS = ("red", "white", "blue", "green")
 PAIR_COLORS = ROBOT_COLORS[:2]
-"""The colors that robots of a pair are drawn from."""
+"""The colors of robots in teams of two."""
 _LEAST_TOP_M = 0.3
-"""A table top is at least so wide."""
+"""Smallest width of a table top."""
 ROOM_M = 10.0
-"""Nothing is placed farther from the middle of the table, along x or y [m]."""
+"""Largest absolute x and y of robots and objects [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotPlacement:
-    """One robot: type, color and base."""
+    """One robot: arm type, color and base.
+
+    Raises:
+        UnknownNameError: No such arm or color.
+        InvalidConfigError: The base is not a pose in the room.
+    """
 
     arm: str
     """Arm type, a name in ``lemma.robots.ur.build.ARMS``."""
     color: str
     """One of :data:`ROBOT_COLORS`."""
     base: Pose2
-    """World from base: the yaw points the robot's front at the table."""
+    """World from base; the base's x axis is the robot's front."""
 
     def __post_init__(self) -> None:
-        """Check the names and the numbers.
-
-        Raises:
-            UnknownNameError: No such arm or color.
-            InvalidConfigError: The base is no pose in the room.
-        """
+        """Check names and numbers."""
         ARMS[self.arm]
         known("robot color", self.color, ROBOT_COLORS)
         _check_pose(f"base of the {self.arm}", self.base)
@@ -48,55 +48,55 @@ class RobotPlacement:
 
 @dataclass(frozen=True, slots=True)
 class ObjectPlacement:
-    """One object: kind, color and pose."""
+    """One object: kind, color and pose.
+
+    Raises:
+        UnknownNameError: No such kind or color.
+        InvalidConfigError: The pose is not in the room.
+    """
 
     kind: str
-    """A name in ``lemma.scene.objects.kind.OBJECT_KINDS``: ``"cube"``."""
+    """A name in ``lemma.scene.objects.kind.OBJECT_KINDS``, such as ``"cube"``."""
     color: str
-    """A name in ``lemma.scene.objects.palette.OBJECT_COLORS``. A kind of one color only
-    may have any word: the stick is ``"yellow"``."""
+    """A name in ``lemma.scene.objects.palette.OBJECT_COLORS``; any word for a kind with
+    a color of its own, such as ``"yellow"`` for the stick."""
     pose: Pose2
-    """World from object, lying on the table."""
+    """World from object; the object lies on the table."""
 
     def __post_init__(self) -> None:
-        """Check the names and the numbers.
-
-        Raises:
-            UnknownNameError: No such kind or color.
-            InvalidConfigError: The pose is none in the room.
-        """
+        """Check names and numbers."""
         if OBJECT_KINDS[self.kind].colored:
             OBJECT_COLORS[self.color]
         _check_pose(f"pose of the {self.name}", self.pose)
 
     @property
     def entity(self) -> Entity:
-        """Its entity."""
+        """The entity of color and kind."""
         kind = OBJECT_KINDS[self.kind]
         return Entity(self.color if kind.colored else "", kind)
 
     @property
     def name(self) -> str:
-        """Entity name: ``"red_cube"``, ``"white_pad"``, ``"stick"``."""
+        """Entity name, such as ``"red_cube"`` or ``"stick"``."""
         return self.entity.name
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSpec:
-    """Everything that a compiled scene depends on."""
+    """Specification of a scene: robots, objects and table.
+
+    Raises:
+        InvalidConfigError: An entity occurs twice, a field has a wrong type, or the gap
+            leaves no table beside it.
+    """
 
     robots: tuple[RobotPlacement, ...]
     objects: tuple[ObjectPlacement, ...]
     gap_m: Gap | None = None
-    """Where the table is missing, x from and to [m]; None where it is of one piece."""
+    """Gap in the table, x from and to [m]; None without a gap."""
 
     def __post_init__(self) -> None:
-        """Check that every entity can be named without doubt.
-
-        Raises:
-            InvalidConfigError: It cannot, or these are no robots and objects, or the
-                gap leaves no table beside it.
-        """
+        """Check types, unique names and the gap."""
         if self.gap_m is not None:
             _check_gap(self.gap_m)
         for placed, wanted in (
@@ -120,7 +120,7 @@ class SceneSpec:
 
     @property
     def robot_names(self) -> tuple[str, ...]:
-        """``("robot_0", "robot_1", ...)``."""
+        """Names of the robots: ``("robot_0", "robot_1", ...)``."""
         return robot_names(len(self.robots))
 
     @property
@@ -130,11 +130,11 @@ class SceneSpec:
 
     @property
     def regions(self) -> Mapping[str, tuple[int, ...]]:
-        """Where several robots work: names of regions, and their robots by index.
+        """Names of regions, with the indices of their robots.
 
-        ``{"shared": (0, 1)}`` for a pair; see :mod:`lemma.scene.regions`.
+        ``{"shared": (0, 1)}`` for two robots; see :mod:`lemma.scene.regions`.
         """
-        # Reach needs the simulator's kernels, which servers of policies do not have.
+        # Late import: reach needs Numba kernels, which policy servers may lack.
         from lemma.scene.regions import regions_of  # noqa: PLC0415
 
         return regions_of(tuple((r.arm, r.base) for r in self.robots), self.gap_m)
@@ -152,25 +152,25 @@ class SceneSpec:
 
 
 def _check_gap(gap: object) -> None:
-    """Check that a gap leaves table on either side.
+    """Check that a gap leaves a table top on either side.
 
     Raises:
-        InvalidConfigError: It does not.
+        InvalidConfigError: It does not, or is no pair of numbers.
     """
     bounds = gap if isinstance(gap, tuple) and len(gap) == 2 else (math.nan, math.nan)
     most = TABLE_HALF_X_M - _LEAST_TOP_M
     left, right = (real("end of the gap", bound, -most, most) for bound in bounds)
     if not left < right:
         raise InvalidConfigError(
-            f"gap_m={shown(gap)} ends where it begins. Valid: x from and to [m]."
+            f"gap_m={shown(gap)} has no width. Valid: x from and to [m]."
         )
 
 
 def _check_pose(what: str, pose: object) -> None:
-    """Check that something can be placed there.
+    """Check that a value is a pose in the room.
 
     Raises:
-        InvalidConfigError: It is no pose in the room.
+        InvalidConfigError: It is not.
     """
     if not isinstance(pose, Pose2):
         raise InvalidConfigError(

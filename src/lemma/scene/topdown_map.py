@@ -1,10 +1,10 @@
-"""The top-down map: all cameras fused into one orthographic picture of the table.
+"""The top-down map: all cameras fused into one orthographic image of the table.
 
-Every pixel of every camera becomes a point in the world, and the highest point over
-each cell of the map gives its height and color.
+Every pixel of every camera is unprojected to a point in the world. The highest point in
+each cell of the map determines the height and color of the cell.
 
-Loops are written out and compiled by Numba: the same images give the same map on every
-machine, and a map of two 640 x 480 images takes a few milliseconds.
+The loops are compiled by Numba: the same images give the same map on every machine, and
+a map of two 640 x 480 images takes a few milliseconds.
 """
 
 from collections.abc import Iterable
@@ -24,21 +24,21 @@ def fuse(
 ) -> MapImage:
     """Fuse calibrated images into a map.
 
-    Of points of equal height, the one of the first image counts, and within an image
-    the one nearest to its top left corner.
+    Among points of equal height, the first image has priority, and within an image the
+    point nearest to its top left corner.
 
-    A camera's samples lie more than a cell apart where it looks at the table from afar
-    or at a flat angle. A cell without a sample takes the lower of two samples on
-    opposite sides of it: surfaces continue, and nothing grows.
+    At large distances or flat angles a camera's samples are more than a cell apart. A
+    cell without a sample gets the lower of two samples on opposite sides. This closes
+    gaps in surfaces without extending objects.
 
     Args:
-        images: Images of the cameras; a depth of 0 means that nothing was seen.
+        images: Images of the cameras; a depth of 0 means no surface.
         raster: The cells of the map.
-        ceiling_m: Points above it are dropped [m].
+        ceiling_m: Height above which points are ignored [m].
 
     Raises:
-        InvalidConfigError: An image does not have its camera's size, or nothing lies
-            between floor and ceiling.
+        InvalidConfigError: An image does not have its camera's size, or the ceiling is
+            not above the floor.
     """
     if not raster.floor_m < ceiling_m:
         raise InvalidConfigError(
@@ -69,7 +69,7 @@ def fuse(
 
 
 def _cells_from_image(camera: Camera, raster: Raster) -> FloatArray:
-    """Return the map from (u z, v z, z, 1) to (column, row, height), (3, 4)."""
+    """Return the matrix from (u z, v z, z, 1) to (column, row, height), (3, 4)."""
     lens = camera.intrinsics
     pose = camera.world_from_camera.matrix()
     result = np.empty((3, 4))
@@ -93,15 +93,16 @@ def splat(
     height: NDArray[np.float32],
     rgb: NDArray[np.uint8],
 ) -> None:
-    """Raise a map to the points of one image, in place.
+    """Add the points of one image to a map, in place.
 
     Args:
         color: Color, shape (H, W, 3).
-        depth: Depth [m], shape (H, W); 0 where nothing was seen.
-        cells_from_image: From (u z, v z, z, 1) to (column, row, height), shape (3, 4).
-        limits_m: Lowest and highest height of a point that counts [m].
-        height: Heights of the map [m], minus infinity where empty.
-        rgb: Colors of the map.
+        depth: Depth [m], shape (H, W); 0 where there is no surface.
+        cells_from_image: Matrix from (u z, v z, z, 1) to (column, row, height), shape
+            (3, 4).
+        limits_m: Smallest and largest height of points to add [m].
+        height: Heights of the map [m], shape (rows, columns); minus infinity if empty.
+        rgb: Colors of the map, shape (rows, columns, 3).
     """
     m = cells_from_image
     rows, columns = height.shape
@@ -132,12 +133,15 @@ def splat(
 def close_gaps(
     height: NDArray[np.float32], filled: NDArray[np.float32], rgb: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
-    """Fill cells between two samples, in place, and return which cells are known.
+    """Fill cells between two samples, in place, and return the coverage.
 
     Args:
-        height: Heights of the map [m], minus infinity where empty.
-        filled: A copy of them to fill; 0 where still empty.
-        rgb: Colors of the map, to fill.
+        height: Heights of the map [m], shape (rows, columns); minus infinity if empty.
+        filled: A copy of the heights; written, 0 in cells that remain empty.
+        rgb: Colors of the map, shape (rows, columns, 3); written.
+
+    Returns:
+        Whether each cell has a sample or is filled, shape (rows, columns).
     """
     rows, columns = height.shape
     coverage = np.ones((rows, columns), np.bool_)

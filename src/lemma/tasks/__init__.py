@@ -1,1 +1,1 @@
-"""Goals, instances, sampling and language of the suite."""
+"""Tasks: goals, instances, sampling and language."""

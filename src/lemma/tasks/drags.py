@@ -1,7 +1,7 @@
-"""Where the stick must be to drag or push a cube: pure geometry of the plane.
+"""Poses of the stick that drag or push a cube: planar geometry.
 
-Sampling asks whether a robot could do it, the expert asks how. Both get their answer
-here, so that what is sampled as solvable is what the expert then does.
+Sampling uses this module to check whether a robot can drag a cube, and the expert to
+plan the drag. So the expert finds a drag wherever sampling found one.
 """
 
 import math
@@ -24,18 +24,18 @@ from lemma.scene.table import Gap, lies_on_table
 from lemma.tasks.subtask import Primitive
 
 LARGEST_HEADING_RAD = math.radians(100.0)
-"""How far a stick that a robot shall pick up may point away from straight outward."""
+"""Largest angle between a stick that a robot picks up and the outward direction."""
 PREPARE_GAP_M = 0.02
-"""Between the stick and the cube before the drag: a cube turned by 45 degrees fits."""
+"""Gap between stick and cube before the drag; a cube turned by 45 degrees fits."""
 
 _INNER_FACE_M = HANDLE_LENGTH_M - STICK_SECTION_M
 _DIRECTION = {Primitive.HOOK: -1.0, Primitive.POKE: 1.0}
 _STICK_CLEARANCE_M = STICK_SECTION_M / 2 + 0.012
 HAND_CLEARANCE_M = FINGER_CENTER_M + FINGER_DISC_M
-"""Around a hand that opens its fingers to take or leave the stick."""
+"""Clearance around a gripper that opens to grasp or release the stick."""
 LARGEST_TURN_RAD = math.radians(150.0)
-"""How far the stick may turn, seen from the base of who carries it: with more, the last
-joint would turn it the other way, through the arm."""
+"""Largest rotation of the carried stick relative to the bearing from the robot's base.
+With more, the last joint would turn it the other way, through the arm."""
 _GRIP_MARGIN_M = 0.015
 _END_MARGIN_M = 0.05
 _GOOD_MARGIN_M = 0.10
@@ -44,16 +44,16 @@ _BEARINGS_RAD = tuple(
 )
 _LENGTHS_M = tuple(round(0.10 + 0.02 * i, 2) for i in range(20))
 MIN_DRAG_M, MAX_DRAG_M = _LENGTHS_M[0], _LENGTHS_M[-1]
-"""The shortest and the longest drag that is planned: what nobody could reach lies 0.35
-to 0.42 m outside of the region in which robots work."""
+"""Shortest and longest planned drag. Positions that no robot could reach are 0.35 to
+0.42 m outside of the reachable set."""
 _HOLD_MARGIN_M = 0.02
 _LEAST_WITHDRAWAL_M = 0.03
 _MOST_WITHDRAWAL_M = 0.15
 _EDGE_M = 0.03
-"""A dragged cube's middle keeps so far from the table's edges."""
+"""Smallest distance of a dragged cube's centre from the table's edges."""
 
 Disc = tuple[float, float, float]
-"""Something to keep clear of: x, y, radius [m]."""
+"""Obstacle in the plane: x, y, radius [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +63,34 @@ class Drag:
     primitive: Primitive
     """``hook`` or ``poke``."""
     prepared: Pose2
-    """Gripper where the stick is put down next to the cube."""
+    """World from gripper when the stick is put down next to the cube."""
     end: Pose2
-    """Gripper where the drag ends."""
+    """World from gripper at the end of the drag."""
     left: Pose2
-    """Gripper where the stick is left lying, withdrawn from the cube."""
+    """World from gripper when the stick is released, withdrawn from the cube."""
     cube: Pose2
-    """Where the cube will be."""
+    """World from cube after the drag."""
     score: float
 
 
 def grasp_on_stick(stick: Pose2) -> Pose2:
-    """Return the gripper pose that grasps a stick lying at a pose."""
+    """Return world from gripper at the grasp of a lying stick.
+
+    Args:
+        stick: World from stick.
+    """
     return stick @ Pose2(GRASP_FROM_END_M, 0.0)
 
 
 def heading_from(base: Pose2, stick: Pose2) -> float:
-    """Return the angle in [0, pi] between a stick and the ray from a base to its grasp.
+    """Return the angle between a stick and the ray from a base to its grasp [rad].
 
-    A robot that lifts a stick which points back at its base hits its own arm with it.
+    The angle is in [0, pi]. A stick that points back at the base would hit the arm that
+    lifts it.
+
+    Args:
+        base: World from base.
+        stick: World from stick.
     """
     grasp = grasp_on_stick(stick)
     outward = math.atan2(grasp.y - base.y, grasp.x - base.x)
@@ -89,12 +98,12 @@ def heading_from(base: Pose2, stick: Pose2) -> float:
 
 
 def is_turned_too_far(base: Pose2, pick: Pose2, place: Pose2) -> bool:
-    """Whether a robot that carries the stick would turn it through its own arm.
+    """Return whether a robot that carries the stick would turn it through its arm.
 
     Args:
-        base: Of the robot.
-        pick: Gripper where the stick is grasped, turned as the stick is.
-        place: Gripper where it is put down.
+        base: World from base.
+        pick: World from gripper at the grasp, with the yaw of the stick.
+        place: World from gripper at the release.
     """
     headings = [
         wrap(grip.yaw - math.atan2(grip.y - base.y, grip.x - base.x))
@@ -104,7 +113,11 @@ def is_turned_too_far(base: Pose2, pick: Pose2, place: Pose2) -> bool:
 
 
 def stick_in_grasp(gripper: Pose2) -> Pose2:
-    """Return the stick's pose when the gripper holds its handle."""
+    """Return world from stick for a gripper that holds its handle.
+
+    Args:
+        gripper: World from gripper.
+    """
     return gripper @ Pose2(-GRASP_FROM_END_M, 0.0)
 
 
@@ -117,24 +130,25 @@ def find_drag(
     kind: ObjectKind = CUBE,
     gap_m: Gap | None = None,
 ) -> Drag | None:
-    """Find the best way for a robot to bring a cube into a robot's reach.
+    """Find the best drag that brings a cube into a robot's reach.
 
     Args:
         primitive: ``HOOK`` (towards the robot) or ``POKE`` (away from it).
         robot: The robot that drags.
-        receiver: The robot that shall reach the cube then.
-        cube: Where the cube is.
-        obstacles: Discs that the stick and the cube keep clear of.
+        receiver: The robot that must reach the cube afterwards.
+        cube: World from cube.
+        obstacles: Discs that the stick and the cube must avoid.
         kind: Kind of the dragged object, if it is no cube.
-        gap_m: Where the table is missing; a cube that is dragged there falls.
+        gap_m: The gap in the table, into which a dragged cube would fall; None without
+            one.
 
     Returns:
-        The drag that ends deepest in the receiver's reach, among equals the shortest
-        and straightest; None if there is no way, or the kind cannot be dragged.
-        Two drags at one angle to either side of the receiver's base end equally deep:
-        rounding chooses between them. Scores are not rounded against it, because
-        recorded episodes hold what was chosen; whether there is a drag, which is all
-        that sampling asks, does not depend on it.
+        The drag that ends with the largest reach margin of the receiver, among equal
+        ones the shortest and straightest; None if there is none, or the kind cannot be
+        dragged. Two drags at equal angles on either side of the receiver's base have
+        equal margins, so rounding errors decide between them. Scores are not rounded,
+        because that would change recorded episodes. The existence of a drag, on which
+        sampling depends, is not affected.
     """
     if kind.drag_m is None:
         return None
@@ -158,11 +172,11 @@ def _drags_along(
     turn: float,
     half_m: float,
 ) -> Iterator[Drag]:
-    """Yield the drags of one bearing that both robots' reach allows."""
+    """Yield the drags in one direction that both robots' reach allows."""
     hooking = primitive is Primitive.HOOK
     reach, base = reach_of(robot.arm), robot.base
     wanted, there = reach_of(receiver.arm), receiver.base
-    # A hook is pulled towards one's own base, a cube is poked towards the other's.
+    # A hook pulls towards the robot's own base, a poke pushes towards the receiver's.
     straight = (
         math.atan2(cube.y - base.y, cube.x - base.x)
         if hooking
@@ -190,15 +204,15 @@ def _drags_along(
 
 
 def withdrawn(primitive: Primitive, robot: RobotPlacement, end: Pose2) -> Pose2:
-    """Return where the gripper lets go of the stick after a drag.
+    """Return world from gripper at the release of the stick after a drag.
 
-    A hook is pushed out a little, a head is drawn back: so far that fingers fit around
-    the cube, and that the robot can pick the stick up again.
+    A hook is pushed out slightly and a head is drawn back, so that fingers fit around
+    the cube and the robot can pick up the stick again.
 
     Args:
         primitive: ``HOOK`` or ``POKE``.
         robot: The robot that drags.
-        end: Gripper where the drag ends, turned as the stick is.
+        end: World from gripper at the end of the drag, with the yaw of the stick.
     """
     back = _LEAST_WITHDRAWAL_M
     sign = -_DIRECTION[primitive]
@@ -212,9 +226,10 @@ def withdrawn(primitive: Primitive, robot: RobotPlacement, end: Pose2) -> Pose2:
 
 
 def _contact(primitive: Primitive, half_m: float) -> tuple[float, float]:
-    """Return a dragged cube in the stick's frame, by its half width [m].
+    """Return x, y of a dragged cube of given half width in the stick's frame [m].
 
-    It is in the middle of the hook's free length, or of the head's outer face.
+    It touches the hook in the middle of its free length, or the head in the middle of
+    its outer face.
     """
     if primitive is Primitive.HOOK:
         across = 0.5 * (HOOK_LENGTH_M - STICK_SECTION_M) + STICK_SECTION_M / 2
@@ -225,7 +240,7 @@ def _contact(primitive: Primitive, half_m: float) -> tuple[float, float]:
 def _gripper(
     primitive: Primitive, cube: Pose2, bearing: float, gap_m: float, half_m: float
 ) -> Pose2:
-    """Return the gripper pose that has the cube in contact, or ``gap_m`` before it."""
+    """Return world from gripper with the stick ``gap_m`` away from the cube."""
     u, v = _contact(primitive, half_m)
     u += _DIRECTION[primitive] * gap_m
     stick = Pose2(cube.x, cube.y, bearing) @ Pose2(-u, -v)
@@ -239,11 +254,11 @@ def _is_free(
     disc_m: float,
     gap_m: Gap | None,
 ) -> bool:
-    """Whether stick and cube meet nothing and the cube stays on the table.
+    """Return whether stick and cube avoid obstacles and the cube stays on the table.
 
-    It looks at six places. Between two of them an object may be nearer, mostly beside
-    the end of the hook: 10 of 6,594 ways found for 800 frozen instances lead past one
-    by less than 5 mm. To look at more places would change recorded episodes.
+    The check samples six poses. Between two of them an object may be closer, mostly
+    beside the end of the hook: 10 of 6,594 drags for 800 frozen instances pass one by
+    less than 5 mm. More samples would change recorded episodes.
     """
     for i in range(6):
         t = i / 5
@@ -268,7 +283,7 @@ def _is_free(
 
 
 def stick_gap(stick: Pose2, x: float, y: float) -> float:
-    """Return the distance of a position from the stick's two axes [m]."""
+    """Return the distance of a position from the nearer of the stick's two axes [m]."""
     local = stick.inverse() @ Pose2(x, y)
     along = min(max(local.x, 0.0), HANDLE_LENGTH_M)
     handle = math.hypot(local.x - along, local.y)
@@ -279,7 +294,7 @@ def stick_gap(stick: Pose2, x: float, y: float) -> float:
 
 
 def stick_discs(stick: Pose2) -> tuple[Disc, ...]:
-    """Return discs that cover a lying stick."""
+    """Return discs that cover a stick at a pose, each (x, y, radius) [m]."""
     half = STICK_SECTION_M / 2
     spacing = 0.05
     handle = [(i * spacing, 0.0) for i in range(round(HANDLE_LENGTH_M / spacing) + 1)]
@@ -291,7 +306,14 @@ def stick_discs(stick: Pose2) -> tuple[Disc, ...]:
 def is_prepared(
     primitive: Primitive, stick: Pose2, cube: Pose2, kind: ObjectKind = CUBE
 ) -> bool:
-    """Whether a stick lies so that a drag would take the cube along."""
+    """Return whether a lying stick is prepared to drag an object.
+
+    Args:
+        primitive: ``HOOK`` or ``POKE``.
+        stick: World from stick.
+        cube: World from object.
+        kind: Kind of the object.
+    """
     if kind.drag_m is None:
         return False
     u, v = _contact(primitive, kind.drag_m)

@@ -1,13 +1,13 @@
-"""Goals: conjunctions of predicates, and whether they hold in a scene.
+"""Goals: conjunctions of predicates, and their evaluation in a scene.
 
-``On(top, bottom)`` says where a cube shall lie. ``Lifted(item)`` and ``Reached(item)``
-say where a hand shall be; only the ladder's first rungs ask for them. Each has a top
-and a bottom, which may be :data:`~lemma.scene.objects.entity.HAND`, so a goal is told
-as pairs of names.
+``On(top, bottom)`` is about the position of a cube. ``Lifted(item)`` and
+``Reached(item)`` are about a gripper; only the first rungs of the ladder use them. Each
+predicate has a top and a bottom, either of which may be
+:data:`~lemma.scene.objects.entity.HAND`, so a goal can be given as pairs of names.
 
-Everything here is a function of where things are and how fast they move, not of what
-the engine computed last: it is the same after a step, after a snapshot was restored,
-and after something was put elsewhere by hand.
+Predicates are functions of positions and velocities alone, not of other results of the
+engine. So they have the same value after a step, after a snapshot was restored, and
+after an object was moved by the user.
 """
 
 import math
@@ -29,27 +29,27 @@ from lemma.tasks.subtask import SubTask
 from lemma.tasks.teams.rule import Has, Rule
 
 REST_M_S = 0.01
-"""An object at rest is slower than this [m/s]. After a second of rest it moves at less
-than a billionth of it."""
+"""Largest speed of an object at rest [m/s]. The speed of a resting object decays to
+less than a billionth of it within 1 s."""
 REST_RAD_S = 0.1
-"""And it turns slower than this [rad/s]."""
+"""Largest angular speed of an object at rest [rad/s]."""
 TILT_RAD = math.radians(3.0)
-"""An object stands on a face that is within this of level [rad]."""
+"""Largest tilt of an object that stands on a face [rad]."""
 LIFTED_M = 0.05
-"""A cube is lifted if it is so much higher than where it lies on the table [m]."""
+"""Height above its resting position on the table from which a cube is lifted [m]."""
 OVER_M = 0.03
-"""A hand is over an object if it is within this of its middle, from above [m]."""
+"""Largest horizontal distance of a gripper over an object from its centre [m]."""
 HOVER_M = 0.10
-"""And no higher above its top than this [m]."""
+"""Largest height of such a gripper above the top of the object [m]."""
 _STEEP = math.cos(math.radians(30.0))
-"""A contact carries if its normal is nearer to the vertical than this."""
+"""Smallest vertical component of the normal of a contact that supports an object."""
 
 
 @dataclass(frozen=True, slots=True)
 class On:
-    """One thing lies on another: a cube on a pad, a cube on a cube, a plank on a post.
+    """One object lies on another, such as a cube on a pad or on a cube.
 
-    A plank lies on two things, and a goal says so with two of these.
+    A plank lies on two objects; a goal says this with two of these predicates.
     """
 
     top: str
@@ -60,8 +60,8 @@ class On:
 
         Raises:
             UnknownNameError: No such entity.
-            InvalidConfigError: The top is fixed or a tool, nothing can lie on the
-                bottom, or they are one thing.
+            InvalidConfigError: The top is fixed or a tool, no object can lie on the
+                bottom, or both are the same object.
         """
         if not kind_of(self.top).cargo or self.top == self.bottom:
             raise InvalidConfigError(
@@ -75,17 +75,17 @@ class On:
             )
 
     def holds(self, scene: Scene) -> bool:
-        """Whether it is true now.
+        """Return whether the predicate holds now.
 
-        The bottom alone carries the top, or of a plank with one other object: they
-        touch, and nothing else touches the top but what lies on it. Both are at rest
-        and level, on the table and not below it, and no robot touches either. The
-        top's middle is no farther from the bottom's than the bottom's kind allows: on
-        a pad at least 1 cm inside its edge, on a cube above its top face. Of a plank,
-        one of the two places over which it shall rest is that near to the bottom's
-        middle (:meth:`.ObjectKind.rests`).
+        The bottom alone supports the top (a plank has a second support): they touch,
+        and other contacts of the top are only with objects on it. Both are at rest,
+        level, and not below the table, and no robot touches either. The distance of the
+        centres is at most ``support_m`` of the bottom's kind: on a pad at least 1 cm
+        inside its edge, on a cube above its top face. For a plank, it is the distance
+        between the bottom's centre and one of the two points that
+        :meth:`.ObjectKind.rests` returns.
         """
-        # From cheap to dear: this is asked at every step.
+        # Cheap conditions first, because this runs in every step.
         return (
             self._is_above(scene)
             and all(is_at_rest(scene, name) for name in (self.top, self.bottom))
@@ -95,11 +95,11 @@ class On:
         )
 
     def lies(self, scene: Scene) -> bool:
-        """Whether the top lies there now at all, be it askew or against something.
+        """Return whether the top lies on the bottom, possibly tilted or leaning.
 
-        Over the part of the bottom that may carry it, they touch; the top is at rest,
-        and no robot touches it. All that :meth:`holds` wants it to be besides may come
-        later without a hand.
+        The top's centre is over the supporting part of the bottom, they touch, the top
+        is at rest, and no robot touches it. The other conditions of :meth:`holds` may
+        become true later without an action.
         """
         if not self._is_above(scene) or not is_at_rest(scene, self.top):
             return False
@@ -110,7 +110,7 @@ class On:
         return lower in others and all(things)
 
     def _is_above(self, scene: Scene) -> bool:
-        """Whether the top's middle is over the part of the bottom that may carry it."""
+        """Return whether the top's centre is over the supporting part of the bottom."""
         limit = kind_of(self.bottom).support_m
         assert limit is not None
         top, bottom = scene.position(self.top), scene.position(self.bottom)
@@ -126,7 +126,7 @@ class On:
 
 @dataclass(frozen=True, slots=True)
 class Lifted:
-    """A hand holds an object above the table."""
+    """A gripper holds an object above the table."""
 
     top: str
     bottom: str = HAND
@@ -142,10 +142,10 @@ class Lifted:
             raise InvalidConfigError(f"No gripper can hold the {self.top}.")
 
     def holds(self, scene: Scene) -> bool:
-        """Whether it is true now.
+        """Return whether the predicate holds now.
 
-        Both fingers of one hand touch it, nothing else but that robot does, and it is
-        :data:`LIFTED_M` higher than where it would lie upright on the table.
+        Both fingers of one gripper touch the object, nothing but that robot touches it,
+        and it is :data:`LIFTED_M` higher than upright on the table.
         """
         height_m = scene.position(self.top)[2] - kind_of(self.top).origin_m
         return height_m >= LIFTED_M and _hangs_in_a_hand(scene, self.top)
@@ -153,13 +153,13 @@ class Lifted:
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """A hand is over an object that it does not touch."""
+    """A gripper is over an object without touching it."""
 
     bottom: str
     top: str = HAND
 
     def __post_init__(self) -> None:
-        """Check that there can be such an object.
+        """Check that there is such an entity.
 
         Raises:
             UnknownNameError: No such entity.
@@ -167,11 +167,11 @@ class Reached:
         kind_of(self.bottom)
 
     def holds(self, scene: Scene) -> bool:
-        """Whether it is true now.
+        """Return whether the predicate holds now.
 
-        Seen from above, a tool centre point is within :data:`OVER_M` of the object's
-        middle; it is above the object's top, by :data:`HOVER_M` at most. The object is
-        at rest, not below the table, and no robot touches it.
+        A tool centre point is within a horizontal distance of :data:`OVER_M` from the
+        object's centre, and above the object's top by :data:`HOVER_M` at most. The
+        object is at rest, not below the table, and no robot touches it.
         """
         if self.bottom in scene.fallen or not is_at_rest(scene, self.bottom):
             return False
@@ -193,21 +193,21 @@ Predicate = On | Lifted | Reached
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Several predicates that shall hold at once, and a rule for the way there."""
+    """Predicates that must hold at the same time, with an optional rule."""
 
     conjuncts: tuple[Predicate, ...]
     rule: Rule | None = None
-    """Forbids something before; see :mod:`lemma.tasks.teams.rule`."""
+    """A constraint on the sub-tasks; see :mod:`lemma.tasks.teams.rule`."""
 
     def __post_init__(self) -> None:
-        """Check that it asks for something.
+        """Check conjuncts and rule.
 
         Raises:
-            InvalidConfigError: It has no conjuncts, or its rule is about others.
+            InvalidConfigError: There are no conjuncts, or the rule is about others.
         """
         if not self.conjuncts:
             raise InvalidConfigError(
-                "A goal without On(top, bottom) asks for nothing. Give at least one."
+                "A goal needs at least one predicate, such as On(top, bottom)."
             )
         placed = [(on.top, on.bottom) for on in self.placements]
         if self.rule is not None and not set(self.rule.pairs) <= set(placed):
@@ -219,7 +219,16 @@ class Goal:
     def from_pairs(
         cls, pairs: tuple[tuple[str, str], ...], rule: Rule | None = None
     ) -> Self:
-        """Make a goal from (top, bottom) pairs; a hand may be either."""
+        """Create a goal from (top, bottom) pairs; either may be ``"hand"``.
+
+        Args:
+            pairs: Names of entities.
+            rule: The rule, if any.
+
+        Raises:
+            UnknownNameError: No such entity.
+            InvalidConfigError: A pair is no predicate, or the rule is about others.
+        """
 
         def predicate(top: str, bottom: str) -> Predicate:
             if top == HAND:
@@ -235,22 +244,22 @@ class Goal:
 
     @property
     def entities(self) -> tuple[str, ...]:
-        """Every object that the goal speaks of, each once."""
+        """The objects in the goal, each once."""
         names = (name for pair in self.pairs for name in pair if name != HAND)
         return tuple(dict.fromkeys(names))
 
     @property
     def placements(self) -> tuple[On, ...]:
-        """The conjuncts that say where something shall lie."""
+        """The conjuncts of type :class:`On`."""
         return tuple(on for on in self.conjuncts if isinstance(on, On))
 
     @property
     def held(self) -> frozenset[str]:
-        """Names of the objects that hands shall hold."""
+        """Names of the objects that grippers must hold."""
         return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
 
     def permits(self, subtask: SubTask, has: Has) -> bool:
-        """Whether a sub-task keeps the rule; see :meth:`.Rule.permits`."""
+        """Return whether the rule permits a sub-task; see :meth:`.Rule.permits`."""
         return self.rule is None or self.rule.permits(subtask, has)
 
     def progress(self, scene: Scene) -> float:
@@ -260,12 +269,12 @@ class Goal:
 
 
 def is_at_rest(scene: Scene, name: str) -> bool:
-    """Whether an object neither moves nor turns."""
+    """Return whether an object neither moves nor turns."""
     return scene.speed(name) < REST_M_S and scene.turn_rate(name) < REST_RAD_S
 
 
 def _stands_on_a_face(scene: Scene, name: str) -> bool:
-    """Whether one of the faces that an object may stand on is level, below it."""
+    """Return whether an object stands level on one of its faces."""
     up, least = _upward(scene.pose(name)), math.cos(TILT_RAD)
     return any(
         ordered_sum(a * b for a, b in zip(up, top, strict=True)) >= least
@@ -274,14 +283,14 @@ def _stands_on_a_face(scene: Scene, name: str) -> bool:
 
 
 def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
-    """Whether an object lies on another one, and nothing else touches it from anywhere.
+    """Return whether an object is supported by another one alone.
 
-    Objects on the upper one may touch it from above, and another one carries a plank
-    as well. No robot may touch either of them; a bottom that is fixed to the table may
-    be touched.
+    Objects on the upper one may touch it from above, and a plank has another object
+    below it. Robots must not touch the upper one, and the lower one only if it is fixed
+    to the table.
 
     Args:
-        scene: Where things are now.
+        scene: The scene.
         bottom: Name of the object below.
         top: Name of the movable object above.
     """
@@ -303,7 +312,7 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
 
 
 def _hangs_in_a_hand(scene: Scene, name: str) -> bool:
-    """Whether the fingers of one hand hold an object that touches nothing else."""
+    """Return whether one gripper holds an object that touches nothing else."""
     body = int(scene.model.body(name).id)
     robots = set()
     for _, other, _ in _touching(scene, (body,)):
@@ -320,11 +329,11 @@ def _hangs_in_a_hand(scene: Scene, name: str) -> bool:
 def _touching(
     scene: Scene, bodies: tuple[int, ...]
 ) -> Iterator[tuple[int, int, float]]:
-    """Yield who touches some bodies, and how far up from them that is.
+    """Yield the contacts of bodies.
 
     Yields:
         One of the bodies; the body that touches it, 0 for the room; and the vertical
-        component of the contact's normal, from the first to the second.
+        component of the contact's normal from the first to the second.
     """
     data = scene.posed(scene.data.qpos)
     mujoco.mj_collision(scene.model, data)
@@ -339,7 +348,7 @@ def _touching(
 
 
 def _upward(pose: Pose) -> Point:
-    """Return where the vertical points in the frame of a pose."""
+    """Return the upward unit vector in the frame of a pose."""
     w, x, y, z = pose.quaternion
     return (
         2.0 * (x * z - w * y),

@@ -1,4 +1,4 @@
-"""An instance: one sampled problem, as plain frozen data."""
+"""Instances: sampled problems as frozen data."""
 
 import hashlib
 import json
@@ -17,20 +17,20 @@ from lemma.tasks.names import FAMILIES
 from lemma.tasks.teams.rule import rule_from
 
 BENCHMARK_VERSION = "v3"
-"""Part of every instance's key: a change of the sampler is a new version."""
+"""Part of every instance's key. It changes with the sampler."""
 
 OWN_SPLIT = "own"
-"""Split of instances that somebody changed: they are on no list."""
+"""Split of instances that users changed; they are in no frozen list."""
 
 SPLITS = {"train": 700, "val": 40, "test": 60}
 """Frozen instances per task and split (paper, section V)."""
 _TEAM_SPLITS = {**SPLITS, "train": 200}
-"""The same of the suite ``teams``."""
+"""Frozen instances per task and split of the suite ``teams``."""
 
 
 LARGEST_INDEX = 2**63 - 1
-"""Of an instance; a sampled one has its seed as the index. Larger numbers fit into no
-table and no file of ours."""
+"""Largest index of an instance, or seed of a sampled one: tables and files store it as
+a 64-bit integer."""
 
 _PARTS = {
     "task": str,
@@ -59,13 +59,17 @@ class _Data(TypedDict):
 
 
 def splits_of(task: str) -> dict[str, int]:
-    """Return how many frozen instances each split of a listed task has."""
+    """Return the number of frozen instances by split, for a task of a suite."""
     return _TEAM_SPLITS if task in FAMILIES else SPLITS
 
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """One problem. A pure function of (benchmark version, task, split, index)."""
+    """One problem, a pure function of (benchmark version, task, split, index).
+
+    Raises:
+        InvalidConfigError: The parts do not fit together, or one has a wrong type.
+    """
 
     task: str
     split: str
@@ -73,16 +77,12 @@ class Instance:
     scene: SceneSpec
     goal: Goal
     instructions: dict[str, str]
-    """Kind (``high_level``, ``human``, ``unseen``) to sentence."""
+    """Sentence by kind of instruction (``high_level``, ``human``, ``unseen``)."""
     distractors: tuple[str, ...]
     """Objects that the goal does not need."""
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together.
-
-        Raises:
-            InvalidConfigError: They do not, or one of them is something else.
-        """
+        """Check that the parts fit together."""
         for name, wanted in _PARTS.items():
             if not isinstance(getattr(self, name), wanted):
                 raise InvalidConfigError(
@@ -96,11 +96,13 @@ class Instance:
                 f"instructions={shown(self.instructions)} are no sentences by kind."
             )
         names, rule = self.scene.object_names, self.goal.rule
-        # A goal of other instances has none, and their data stay what they were.
+        # Only goals with a rule have this key, so that data of other instances stay
+        # unchanged.
         known = (*names, *self.scene.robot_names)
         if rule is not None and not set(rule.names) <= set(known):
             raise InvalidConfigError(
-                f"{rule} names what is not on the table. There are {', '.join(known)}."
+                f"{rule} names an entity that is not on the table. There are "
+                f"{', '.join(known)}."
             )
         absent = [n for n in (*self.goal.entities, *self.distractors) if n not in names]
         if absent:
@@ -111,17 +113,17 @@ class Instance:
 
     @property
     def key(self) -> str:
-        """Unique readable name: ``"v3/stack/test/3"``."""
+        """Unique readable name, such as ``"v3/stack/test/3"``."""
         return f"{BENCHMARK_VERSION}/{self.task}/{self.split}/{self.index}"
 
     @property
     def team(self) -> str:
-        """Arm types from small to large: ``"ur5+ur10"``, whoever stands first."""
+        """Arm types from small to large, such as ``"ur5+ur10"``."""
         arms = (robot.arm for robot in self.scene.robots)
         return "+".join(sorted(arms, key=_arm_order))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON; ``rule`` where the goal has one."""
+        """Return plain data for JSON; ``rule`` is present only if the goal has one."""
         rule = self.goal.rule
         return {
             "version": BENCHMARK_VERSION,
@@ -145,10 +147,10 @@ class Instance:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "Instance":
-        """Make an instance from what :meth:`to_dict` returned.
+        """Create an instance from the result of :meth:`to_dict`.
 
         Raises:
-            InvalidConfigError: The data are of another form, or describe no instance.
+            InvalidConfigError: The data have another form, or describe no instance.
             UnknownNameError: They name an arm, a kind, a color or an entity that does
                 not exist.
         """
@@ -181,23 +183,23 @@ class Instance:
 
     @classmethod
     def read(cls, text: str | bytes, source: str = "This text") -> "Instance":
-        """Make an instance from the JSON of what :meth:`to_dict` returned.
+        """Create an instance from the JSON of :meth:`to_dict`.
 
         Args:
             text: The JSON.
-            source: Where it comes from, for the error.
+            source: Name of its source, for error messages.
 
         Returns:
-            The instance, in :data:`OWN_SPLIT` whatever split the file names.
+            The instance; its split is always :data:`OWN_SPLIT`.
 
         Raises:
-            InvalidConfigError: It is no JSON, of another version of the benchmark, or
-                describes no instance.
+            InvalidConfigError: The text is no JSON, is of another version of the
+                benchmark, or describes no instance.
             UnknownNameError: It names something that does not exist.
         """
         try:
             data = json.loads(text)
-        # A thousand brackets are no data of ours, and overflow the parser.
+        # Deeply nested brackets raise a RecursionError in the parser.
         except (ValueError, RecursionError) as error:
             raise InvalidConfigError(f"{source} is no JSON: {error}.") from None
         if not isinstance(data, dict):
@@ -233,7 +235,7 @@ class Instance:
         return cls.read(text, str(path))
 
     def to_json(self) -> str:
-        """Return it as a file for people and programs; see :meth:`read`."""
+        """Return the text of a readable JSON file; see :meth:`read`."""
         return json.dumps(self.to_dict(), indent=1, ensure_ascii=False) + "\n"
 
     def sha256(self) -> str:
@@ -243,6 +245,6 @@ class Instance:
 
 
 def _arm_order(arm: str) -> tuple[int, str]:
-    """Order arm types by size: the number in their name."""
+    """Return a sort key for arm types by size, the number in their name."""
     digits = "".join(c for c in arm if c.isdigit())
     return (int(digits or 0), arm)

@@ -1,14 +1,14 @@
-"""How tasks set their tables: the paper's eight, and the ladder's below them.
+"""The built-in tasks: the paper's eight, then those of the ladder.
 
-Rungs of the ladder are *reach*: hold a hand over the named cube; *lift*: pick it up;
-*place*: put it on a pad that the same robot reaches; *hand_over*: the paper's *pass*,
-with one team and one sentence of each kind; then *pass*, *stack*, *poke* and *hook* as
-they are. On the first two, robot 0 alone can do it; from *place* on, it is open which
-of two robots can.
+Rungs of the ladder are *reach*: hold a gripper over the named cube; *lift*: pick it up;
+*place*: put it on a pad that the same robot reaches; *hand_over*: the paper's *pass*
+with one team and one sentence of each kind; then *pass*, *stack*, *poke* and *hook* of
+the paper. In the first two, only robot 0 can solve the task; from *place* on, either
+robot may be the one that can.
 
-``lift_fixed`` has the same robots in the same places in every instance, ``lift_varied``
-has them drawn as for the paper's tasks, and ``lift`` has objects besides that the goal
-does not need.
+In every instance of ``lift_fixed`` the robots are the same and in the same places. In
+``lift_varied`` they are drawn as for the paper's tasks, and ``lift`` also has
+distractors.
 """
 
 from collections.abc import Callable
@@ -26,17 +26,20 @@ from lemma.tasks.task import TASKS, Task
 
 _Arrange = Callable[[ObjectPlacer], Goal]
 
-# Tasks with the same sentence have as many objects: their number tells nothing about
-# the way to the goal.
+# Tasks with equal sentences have equal ranges of objects, so that the number of objects
+# carries no information about the plan.
 
 
 def task(name: str, summary: str, **record: Any) -> Callable[[_Arrange], _Arrange]:
-    """Return a decorator that registers the task which a function sets the table of.
+    """Return a decorator that registers a task with the decorated ``arrange``.
 
     Args:
         name: Name of the task.
-        summary: One sentence for people.
+        summary: One sentence for humans.
         record: Further fields of :class:`~lemma.tasks.task.Task`.
+
+    Raises:
+        InvalidConfigError: The name is taken, or a field is invalid.
     """
     module = calling_module()
 
@@ -61,7 +64,7 @@ def task(name: str, summary: str, **record: Any) -> Callable[[_Arrange], _Arrang
     distractors=(1, 4),
 )
 def arrange_pass(placer: ObjectPlacer) -> Goal:
-    """A cube must change sides."""
+    """Arrange a cube that must change sides."""
     first, second = placer.order[:2]
     cube = placer.cube(placer.only(first))
     pad = placer.pad(placer.only(second))
@@ -75,7 +78,7 @@ def arrange_pass(placer: ObjectPlacer) -> Goal:
     distractors=(0, 3),
 )
 def arrange_pass2(placer: ObjectPlacer) -> Goal:
-    """Two cubes cross the table in opposite directions."""
+    """Arrange two cubes that must change sides in opposite directions."""
     first, second = placer.order[:2]
     cube_1 = placer.cube(placer.only(first))
     pad_1 = placer.pad(placer.only(second))
@@ -91,7 +94,7 @@ def arrange_pass2(placer: ObjectPlacer) -> Goal:
     distractors=(1, 4),
 )
 def arrange_stack(placer: ObjectPlacer) -> Goal:
-    """The robots meet in the middle to build a tower."""
+    """Arrange two cubes that the robots stack in their shared region."""
     first, second = placer.order[:2]
     bottom = placer.cube(placer.only(first))
     top = placer.cube(placer.only(second))
@@ -105,7 +108,7 @@ def arrange_stack(placer: ObjectPlacer) -> Goal:
     distractors=(0, 3),
 )
 def arrange_stack2(placer: ObjectPlacer) -> Goal:
-    """Two towers, each built by both robots."""
+    """Arrange cubes for two towers, each of which needs both robots."""
     first, second = placer.order[:2]
     bottom_1 = placer.cube(placer.only(first))
     top_1 = placer.cube(placer.only(second))
@@ -122,10 +125,11 @@ def arrange_stack2(placer: ObjectPlacer) -> Goal:
     apart=True,
 )
 def arrange_poke(placer: ObjectPlacer) -> Goal:
-    """A cube that nobody reaches is pushed over with the stick."""
+    """Arrange a cube that no robot reaches, to be pushed over with the stick."""
     first, second = placer.order[:2]
     cube = placer.cube(placer.tool_only(Primitive.POKE, first, second))
-    # Out of the first robot's way even with the stick: a raised one can push a cube up.
+    # Outside of the first robot's reach even with the stick, which could push a cube
+    # onto the pad.
     pad = placer.pad(placer.only(second, tool=True))
     placer.stick(first)
     return Goal((On(cube, pad),))
@@ -139,7 +143,7 @@ def arrange_poke(placer: ObjectPlacer) -> Goal:
     apart=True,
 )
 def arrange_poke_stack(placer: ObjectPlacer) -> Goal:
-    """Two cubes are pushed over, then stacked."""
+    """Arrange two cubes to be pushed over and then stacked."""
     first, second = placer.order[:2]
     top = placer.cube(placer.tool_only(Primitive.POKE, first, second))
     bottom = placer.cube(placer.tool_only(Primitive.POKE, first, second))
@@ -154,10 +158,11 @@ def arrange_poke_stack(placer: ObjectPlacer) -> Goal:
     distractors=(0, 3),
 )
 def arrange_hook(placer: ObjectPlacer) -> Goal:
-    """A cube that nobody reaches is dragged closer with the stick."""
+    """Arrange a cube that no robot reaches, to be dragged closer with the stick."""
     first, second = placer.order[:2]
     cube = placer.cube(placer.tool_only(Primitive.HOOK, first, second))
-    # Out of the first robot's way even with the stick: it cannot carry a cube there.
+    # Outside of the first robot's reach even with the stick, which could carry a cube
+    # there.
     pad = placer.pad(placer.only(second, tool=True))
     placer.stick(first)
     return Goal((On(cube, pad),))
@@ -170,7 +175,7 @@ def arrange_hook(placer: ObjectPlacer) -> Goal:
     distractors=(0, 3),
 )
 def arrange_hook_stack(placer: ObjectPlacer) -> Goal:
-    """Both robots hook a cube, with one stick between them."""
+    """Arrange one cube per robot to be hooked with the same stick."""
     first, second = placer.order[:2]
     top = placer.cube(placer.tool_only(Primitive.HOOK, first, second, alone=True))
     bottom = placer.cube(placer.tool_only(Primitive.HOOK, second, first, alone=True))
@@ -188,19 +193,19 @@ _WITHOUT = {
 
 @_alone("reach", "One robot holds its hand over the cube.")
 def arrange_reach(placer: ObjectPlacer) -> Goal:
-    """A cube that robot 0 reaches."""
+    """Arrange a cube that only robot 0 reaches."""
     return Goal((Reached(placer.cube(placer.only(0))),))
 
 
 @_alone("lift", "One robot picks the cube up and holds it.")
 def arrange_lift(placer: ObjectPlacer) -> Goal:
-    """A cube that robot 0 reaches."""
+    """Arrange a cube that only robot 0 reaches."""
     return Goal((Lifted(placer.cube(placer.only(0))),))
 
 
 @_alone("place", "The robot that can puts the cube on the pad.")
 def arrange_place(placer: ObjectPlacer) -> Goal:
-    """A cube and a pad that the same one of two robots reaches."""
+    """Arrange a cube and a pad that the same robot reaches."""
     able = placer.order[0]
     cube = placer.cube(placer.only(able))
     return Goal((On(cube, placer.pad(placer.only(able))),))

@@ -1,6 +1,7 @@
-"""Names of tasks: those of suites, their order, and what Gymnasium calls them.
+"""Names of the suites' tasks, their order, and their Gymnasium ids.
 
-Imports nothing, so that ``import lemma`` can register the suites at once.
+This module imports nothing else, so that ``import lemma`` can register the suites
+quickly.
 """
 
 from collections.abc import Iterable
@@ -21,38 +22,38 @@ SUITE = (
 RUNGS = ("reach", "lift", "place", "hand_over", "pass", "stack", "poke", "hook")
 """The rungs of the ladder, from easy to hard; the last four are the paper's."""
 DEGREES = ("fixed", "varied", "full")
-"""How much varies on a rung: objects alone; robots as well; and distractors besides."""
+"""Degrees of variation: objects alone; also robots; also distractors."""
 
 
 def rung_task(rung: str, degree: str) -> str:
-    """Return the task of a rung at a degree: ``"lift_fixed"``, ``"lift"`` in full."""
+    """Return the task of a rung at a degree, such as ``"lift_fixed"``."""
     return rung if degree == DEGREES[-1] else f"{rung}_{degree}"
 
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
-"""The 24 tasks of the suite ``ladder``; four of them are of the suite ``lemma``."""
+"""The 24 tasks of the suite ``ladder``; four of them are also in suite ``lemma``."""
 FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange", "bridge")
 """The families of the suite ``teams``, for three and four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
-"""Sets of tasks with frozen lists, by name."""
+"""The tasks of each suite, by name of the suite."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))
-"""Every task with frozen lists, in the order in which tables have them."""
+"""All tasks with frozen lists, in the order of tables."""
 
 
 def gym_id(task: str) -> str:
-    """Return Gymnasium's name of a task: ``"lemma/PokeStack-v0"``."""
+    """Return the Gymnasium id of a task, such as ``"lemma/PokeStack-v0"``."""
     return f"lemma/{''.join(word.capitalize() for word in task.split('_'))}-v0"
 
 
 def task_rank(task: str) -> tuple[int, str]:
-    """Return what tasks are sorted by: those of suites in order, then the alphabet.
+    """Return the sort key of a task: tasks of suites in order, others by name.
 
-    It does not depend on what is registered, so that results can be read without the
-    plugin that their tasks are from.
+    It does not depend on registered tasks, so that results can be read without the
+    plugins of their tasks.
     """
     return (LISTED.index(task), "") if task in LISTED else (len(LISTED), task)
 
 
 def in_order(tasks: Iterable[str]) -> tuple[str, ...]:
-    """Return names of tasks, each once, the suite's first."""
+    """Return distinct names of tasks in the order of :func:`task_rank`."""
     return tuple(sorted(set(tasks), key=task_rank))

@@ -1,9 +1,9 @@
-"""A table being set: where things may go, by who could reach them.
+"""Placement of objects in zones that are defined by the robots' reach.
 
-A task says what it needs ("a cube that only this robot reaches"); the placer finds a
-place by rejection sampling, as in the paper, and remembers what is there. When no place
-is found, the whole attempt is given up and a new one begins. Zones are those of
-:mod:`lemma.tasks.zones`.
+A task places an object in a zone, such as "only this robot reaches it". The placer
+finds a pose by rejection sampling, as in the paper, and keeps track of the placed
+objects. If it finds no pose, the attempt is discarded and a new one begins. Zones are
+defined in :mod:`lemma.tasks.zones`.
 """
 
 import math
@@ -41,16 +41,16 @@ from lemma.tasks.teams.coalitions import needed
 from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
 _DRAWS = 2048
-"""Positions that are drawn at once."""
+"""Number of positions that are drawn at once."""
 _ROUNDS = 4
 _CHECKS = 40
-"""Positions of a round, at most, that are looked at one by one."""
+"""Largest number of positions per draw that are checked one by one."""
 _STICK_EDGE_M = 0.05
 BESIDE_BASE_M = 0.06
-"""Between what an arm sweeps around its base and an object, at least."""
+"""Smallest gap between an object and the circle that an arm's shoulder sweeps."""
 
 _KINDS = ("cube", "pad")
-"""Kinds whose colors are shuffled first of all, in the benchmark's order."""
+"""Kinds whose colors are shuffled first, in this order."""
 
 _OUTLINE = (
     *((HANDLE_LENGTH_M * i / 5, 0.0) for i in range(6)),
@@ -60,11 +60,11 @@ _OUTLINE = (
 
 
 class PlacementError(Exception):
-    """This attempt at setting the table failed; another one may succeed."""
+    """An attempt at placing the objects failed; another one may succeed."""
 
 
 class ObjectPlacer:
-    """The table while an instance is being sampled."""
+    """Robots and placed objects of an instance that is being sampled."""
 
     def __init__(
         self,
@@ -73,19 +73,19 @@ class ObjectPlacer:
         order: tuple[int, ...] | None = None,
         gap_m: Gap | None = None,
     ) -> None:
-        """Begin with the robots and nothing else.
+        """Start without objects.
 
         Args:
             robots: The team.
-            rng: Where every draw comes from.
-            order: The robots by role; drawn if None.
-            gap_m: Where the table is missing.
+            rng: Random generator.
+            order: Indices of the robots by role; drawn if None.
+            gap_m: The gap in the table; None without one.
         """
         self.robots = robots
         self.rng = rng
         self.gap_m = gap_m
         self.rule = ""
-        """Kind of the rule that the goal shall have, of a task with rules."""
+        """Kind of the goal's rule, for a task with rules; else empty."""
         self.objects: list[ObjectPlacement] = []
         self.territory = Territory(robots, gap_m)
         self.only = self.territory.only
@@ -96,32 +96,33 @@ class ObjectPlacer:
         self._zones: dict[str, Zone] = {}
         drawn = order if order is not None else rng.permutation(len(robots))
         self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
-        """The robots by role, in random order."""
+        """Indices of the robots by role, in random order."""
 
     def cube(self, zone: ZoneLike, color: str | None = None) -> str:
-        """Put a cube into a zone; see :meth:`put`."""
+        """Place a cube in a zone; see :meth:`put`."""
         return self.put("cube", zone, color)
 
     def pad(self, zone: ZoneLike, color: str | None = None) -> str:
-        """Put a pad into a zone; see :meth:`put`."""
+        """Place a pad in a zone; see :meth:`put`."""
         return self.put("pad", zone, color)
 
     def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
-        """Put an object into a zone.
+        """Place an object in a zone.
 
         Args:
             kind: A name in :data:`~lemma.scene.objects.kind.OBJECT_KINDS`.
-            zone: Where it may lie.
-            color: Its color; one of the benchmark's that the kind has not used yet if
-                None. Colors that were registered are put only where they are named.
+            zone: The zone.
+            color: Its color. If None, one of the benchmark's colors that no object of
+                the kind has; colors of users must be named.
 
         Returns:
             The entity's name.
 
         Raises:
             UnknownNameError: No such kind or color.
+            InvalidConfigError: The kind is placed by a method of its own.
             SamplingError: The kind has no such color left.
-            PlacementError: No place was found.
+            PlacementError: No pose was found.
         """
         record = OBJECT_KINDS[kind]
         if record.tool:
@@ -147,14 +148,14 @@ class ObjectPlacer:
         return placed.name
 
     def has_colors(self, kind: str) -> bool:
-        """Whether another cube or pad of a new color can be put."""
+        """Return whether a color is left for another cube or pad."""
         return bool(self._free[kind])
 
     def _shuffled(self) -> list[str]:
         return [str(color) for color in self.rng.permutation(list(BENCHMARK_COLORS))]
 
     def stick(self, robot: int) -> str:
-        """Put the stick where one robot alone can touch it, pick it up and swing it."""
+        """Place the stick where only one robot reaches it; raise PlacementError."""
         base = self.robots[robot].base
         pose = self._search(
             STICK_KIND,
@@ -168,17 +169,17 @@ class ObjectPlacer:
     def suits_stick(
         self, robot: int, x: FloatArray, y: FloatArray, yaw: FloatArray
     ) -> Mask:
-        """Return where all of the stick is one robot's alone, whatever else lies there.
+        """Return which poses of the stick only one robot reaches, ignoring objects.
 
         Args:
-            robot: The robot that shall pick it up.
-            x: World positions, (n,) [m].
-            y: World positions, (n,) [m].
+            robot: Index of the robot that must be able to pick it up.
+            x: World x, (n,) [m].
+            y: World y, (n,) [m].
             yaw: Directions of its handle, (n,) [rad].
         """
         only = self.only(robot)
         others = [r for r in range(len(self.robots)) if r != robot]
-        # Of the C library, and not NumPy's: the same bits on every machine.
+        # Functions of ``math``, because NumPy's results differ between CPUs.
         cos = np.array([math.cos(angle) for angle in yaw.tolist()])
         sin = np.array([math.sin(angle) for angle in yaw.tolist()])
         at = [(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in _OUTLINE]
@@ -200,17 +201,16 @@ class ObjectPlacer:
         *,
         alone: bool = False,
     ) -> Zone:
-        """Where nobody could touch it, and the stick helps in exactly one way.
+        """Return the zone out of all robots' reach in which one use of the stick helps.
 
         Args:
-            primitive: ``HOOK``: ``robot`` can drag the cube into its own reach, and
-                there is no other way. ``POKE``: it can push it into its partner's
-                reach, and not drag it into its own.
-            robot: The robot that uses the stick.
-            partner: The other robot.
-            kind: Kind of the object that will be put there.
-            alone: Whether the partner could not even touch it with the stick in its
-                hand.
+            primitive: ``HOOK``: only ``robot`` can drag the object, into its own reach.
+                ``POKE``: ``robot`` can push it into its partner's reach, but not drag
+                it into its own.
+            robot: Index of the robot that uses the stick.
+            partner: Index of the other robot.
+            kind: Kind of the object to place.
+            alone: Whether the partner must not reach the object even with the stick.
         """
         nobody, dragged = self.nobody(), OBJECT_KINDS[kind]
         receiver = robot if primitive is Primitive.HOOK else partner
@@ -222,8 +222,7 @@ class ObjectPlacer:
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = nobody.sift(kind, x, y)
-            # No drag is longer, and none ends outside of the receiver's reach, nor is
-            # the stick that much longer than the arm.
+            # Upper bounds by the receiver's reach, the longest drag and the stick.
             far = self.territory.reach(receiver).travel_m + MAX_DRAG_M
             found &= self.territory.distance(receiver, x, y) < far
             far = self.territory.reach(robot).grasp_m + HANDLE_LENGTH_M - MIN_DRAG_M
@@ -233,7 +232,7 @@ class ObjectPlacer:
             return found
 
         def check(pose: Pose2) -> bool:
-            # Other ways must be closed by distance, not by what happens to be around.
+            # Distance must exclude other drags; objects in the way do not count.
             drag = (primitive, robot, receiver, pose)
             return self.can_drag(*drag, self.discs(), dragged) and not any(
                 self.can_drag(*way, pose, self._bases(), dragged) for way in ways
@@ -255,19 +254,19 @@ class ObjectPlacer:
         obstacles: list[Disc],
         kind: ObjectKind,
     ) -> bool:
-        """Whether a robot with the stick brings a thing into a robot's reach."""
+        """Return whether a robot can drag an object into a receiver's reach."""
         by, to = self.robots[robot], self.robots[receiver]
         return (
             find_drag(primitive, by, to, pose, obstacles, kind, self.gap_m) is not None
         )
 
     def check(self, goal: Goal) -> None:
-        """Check what depends on all that was put.
+        """Check conditions that depend on all placed objects.
 
         Raises:
-            PlacementError: Something is in the way of a needed drag, or a robot could
-                do alone, with cubes that happen to be around, what takes two; or a
-                larger team could do without one of its robots.
+            PlacementError: An object blocks a needed drag; or one robot could reach the
+                goal alone by pushing towers of cubes; or a larger team could reach it
+                without one of its robots.
         """
         for primitive, robot, receiver, which in self._drags:
             cube = self.objects[which]
@@ -285,12 +284,12 @@ class ObjectPlacer:
                 raise PlacementError(f"robot {robot} and a tower")
 
     def _could_push_towers(self, robot: int, goal: Goal) -> bool:
-        """Whether a robot alone may reach a goal by pushing towers; see `keeps_off`."""
+        """Return whether one robot might reach a goal by pushing towers of cubes."""
         named = {placed.name: placed for placed in self.objects}
         placements = goal.placements
         barred = [on for on in placements if robot in self._zones[on.bottom].barred]
         tool = any(self._zones[on.bottom].tool for on in barred)
-        # Nothing is dragged home across a gap.
+        # Objects cannot be dragged across a gap.
         fetches = tool and self.gap_m is None
 
         def could_get(placed: ObjectPlacement) -> bool:
@@ -316,7 +315,7 @@ class ObjectPlacer:
         return True
 
     def discs(self, but: str = "") -> list[Disc]:
-        """Return what lies on the table and the bases, without the stick, as discs."""
+        """Return discs of bases and objects, except the stick and ``but``."""
         found = self._bases()
         for placed in self.objects:
             if not placed.entity.kind.tool and placed.name != but:
@@ -328,7 +327,7 @@ class ObjectPlacer:
         return [(r.base.x, r.base.y, sweep_radius_m(r.arm)) for r in self.robots]
 
     def _find(self, kind: ObjectKind, zone: Zone) -> Pose2:
-        """Find a place for an object in a zone; see :meth:`_search`."""
+        """Find a pose for an object in a zone; see :meth:`_search`."""
 
         def suits(x: FloatArray, y: FloatArray, yaw: FloatArray) -> Mask:
             on_table = self.territory.on_table(x, y, kind.disc_m + FROM_EDGE_M)
@@ -342,15 +341,16 @@ class ObjectPlacer:
         suits: Callable[[FloatArray, FloatArray, FloatArray], Mask],
         check: Callable[[Pose2], bool] | None,
     ) -> Pose2:
-        """Find a place for an object that is clear of everything.
+        """Find a pose for an object with clearance to robots and objects.
 
         Args:
-            kind: Of the object.
-            suits: Which of many positions and directions are looked at one by one.
-            check: Whether one of them will do; None if all do.
+            kind: Kind of the object.
+            suits: Returns which poses, given as arrays x, y [m] and yaw [rad], are
+                candidates.
+            check: Returns whether one candidate is valid; None if all are.
 
         Raises:
-            PlacementError: There is none.
+            PlacementError: No pose was found.
         """
         half = (TABLE_HALF_X_M, TABLE_HALF_Y_M, math.pi)
         for _ in range(_ROUNDS):
@@ -362,7 +362,7 @@ class ObjectPlacer:
         raise PlacementError(kind.name)
 
     def _is_clear(self, kind: ObjectKind, pose: Pose2) -> bool:
-        """Whether an object would be clear of robots and of what lies there."""
+        """Return whether an object would have clearance to robots and objects."""
         return all(
             gap_m(kind, pose, None, robot.base)
             >= sweep_radius_m(robot.arm) + BESIDE_BASE_M
@@ -377,13 +377,15 @@ class ObjectPlacer:
 def gap_m(
     kind: ObjectKind, pose: Pose2, other: ObjectKind | None, place: Pose2
 ) -> float:
-    """Return how far apart an object and another, or a base, are: from a stick's axes.
+    """Return the distance of an object from another or from a base [m].
+
+    Distances are between centres, but from the axes of a stick.
 
     Args:
-        kind: Of the object.
-        pose: Of the object.
-        other: Kind of the other one; None for a robot's base.
-        place: Of the other one.
+        kind: Kind of the object.
+        pose: World from object.
+        other: Kind of the other object; None for a robot's base.
+        place: World from the other object or base.
     """
     if kind.tool:
         return stick_gap(pose, place.x, place.y)

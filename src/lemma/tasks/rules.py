@@ -1,7 +1,8 @@
-"""Whether a table is one that the sampler could set, for instances that people change.
+"""Checks whether the sampler could have produced an instance that a user changed.
 
-The task sets its table once more, and is given what lies there already. Which object it
-means is not written down: every way is tried that leads to the goal of the instance.
+The task's ``arrange`` runs again with a placer that returns the present objects. The
+instance does not record which object has which role, so all assignments that lead to
+its goal are tried.
 """
 
 import math
@@ -36,16 +37,19 @@ from lemma.tasks.zones import FROM_EDGE_M, Zone, ZoneLike
 
 _ROUNDED_M = 1e-4
 _AROUND = _ROUNDED_M * np.array(list(product((0.0, -1.0, 1.0), repeat=2)))
-"""Places are rounded after they were looked at, (9, 2) [m]."""
+"""Offsets of a position before the sampler rounded it, (9, 2) [m]."""
 _MIDDLE_M = 0.02
 _MOST_WAYS = 5000
 
 
 def problems(instance: Instance) -> tuple[str, ...]:
-    """Return what the sampler would not have done, in sentences; nothing if all is so.
+    """Return sentences about all violations of the sampler's conditions.
 
     Args:
-        instance: Any, of a task that is known.
+        instance: An instance of a registered task.
+
+    Returns:
+        The sentences; empty if the sampler could have produced the instance.
 
     Raises:
         UnknownNameError: There is no such task.
@@ -71,7 +75,7 @@ def problems(instance: Instance) -> tuple[str, ...]:
 
 
 class _RecordedPlacer(ObjectPlacer):
-    """A placer for a table that is set: it returns the objects that lie there."""
+    """A placer that returns the objects of an instance instead of sampling."""
 
     def __init__(
         self,
@@ -98,7 +102,7 @@ class _RecordedPlacer(ObjectPlacer):
         return placed.name
 
     def stick(self, robot: int) -> str:
-        """Take the stick that is there."""
+        """Return the stick."""
         placed = self._take("stick", None)
         self._stick_of = robot
         self.objects.append(placed)
@@ -112,7 +116,7 @@ class _RecordedPlacer(ObjectPlacer):
         raise PlacementError(kind)
 
     def judge(self, goal: Goal) -> tuple[str, ...]:
-        """Return what is wrong with the objects, in sentences."""
+        """Return sentences about objects in wrong places."""
         everything, bad = self.objects, []
         for placed, zone, before in self._asked:
             self.objects = everything[:before]
@@ -132,7 +136,7 @@ class _RecordedPlacer(ObjectPlacer):
         kind, name = placed.entity.kind, placed.entity.phrase
         x, y = placed.pose.x + _AROUND[:, 0], placed.pose.y + _AROUND[:, 1]
         if not self.territory.on_table(x, y, kind.disc_m + FROM_EDGE_M).any():
-            return f"The {name} does not lie on the table as a whole."
+            return f"The {name} does not lie completely on the table."
         if not self.territory.in_view(x, y).any():
             return f"The {name} lies where no robot's camera sees it."
         checked = zone.check is None or zone.check(placed.pose)
@@ -142,7 +146,7 @@ class _RecordedPlacer(ObjectPlacer):
         return f"The {name} must lie {says}. Now {self._situation(placed)}."
 
     def _situation(self, placed: ObjectPlacement) -> str:
-        """Return what each robot could do to a thing where it lies."""
+        """Return a phrase about the robots' reach of an object."""
         x, y = np.array([placed.pose.x]), np.array([placed.pose.y])
         phrases = []
         for robot, phrase in enumerate(self._robots):
@@ -151,7 +155,7 @@ class _RecordedPlacer(ObjectPlacer):
             elif self.territory.cannot(robot, placed.entity.kind, x, y)[0]:
                 what = "could not touch it"
             else:
-                what = "might touch it, but does not surely work there"
+                what = "might touch it, but does not reach it with a margin"
             phrases.append(f"the {phrase} {what}")
         return " and ".join(phrases)
 
@@ -177,7 +181,7 @@ class _RecordedPlacer(ObjectPlacer):
 
 
 def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goal]]:
-    """Yield each way in which a task can have meant the objects of an instance."""
+    """Yield all assignments of an instance's objects to the roles of a task."""
     by_kind: dict[str, list[ObjectPlacement]] = {}
     extra = [p for p in instance.scene.objects if p.name in instance.distractors]
     for placed in instance.scene.objects:
@@ -199,7 +203,7 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goa
 
 
 def _crowded(instance: Instance) -> Iterator[str]:
-    """Yield what lies too near to something else."""
+    """Yield sentences about objects that are too close to others."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
     objects = instance.scene.objects
     for i, one in enumerate(objects):
@@ -218,7 +222,7 @@ def _crowded(instance: Instance) -> Iterator[str]:
 
 
 def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
-    """Yield where robots do not stand as the sampler would have them."""
+    """Yield sentences about robots in wrong places."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
     if len(robots) > 2:
         if not LAYOUTS[task.layout].allows(robots):
@@ -255,7 +259,7 @@ def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[
 
 
 def _hindered(what: str) -> str:
-    """Return why a whole table was refused."""
+    """Return a sentence about a :class:`PlacementError` of the whole instance."""
     primitive, _, name = what.partition(" ")
     if primitive == "team":
         return "The team might reach the goal without one of its robots."

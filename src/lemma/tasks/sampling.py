@@ -1,4 +1,4 @@
-"""From a key to an instance: rejection sampling with named random streams."""
+"""Samples the instance of a key: rejection sampling with named random streams."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _ATTEMPTS = 400
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """An instance, and how many tables were set until one was right."""
+    """An instance, with the number of rejected attempts."""
 
     instance: Instance
     rejected: int
@@ -41,9 +41,9 @@ def sample(
     Args:
         task: The task.
         split: Name of the split, part of the key.
-        index: Number in the split, part of the key.
-        attempt: A later draw for the same key, when an earlier one was refused.
-        team: Arm types from the first robot to the second; drawn if None.
+        index: Index in the split, part of the key.
+        attempt: Number of the draw for the same key, if earlier draws were refused.
+        team: Arm types of the robots in order; drawn if None.
 
     Raises:
         UnknownNameError: An arm type is not registered.
@@ -58,7 +58,7 @@ def sample(
         )
     key = (BENCHMARK_VERSION, task.name, split, index)
     rng = stream(*key, "layout", attempt)
-    # Drawn before rejection, which cannot bias them.
+    # Drawn before rejection sampling, so that rejections do not bias them.
     chosen = team or _draw_team(task, stream(*key, "team"))
     least, most = task.distractors
     distractors = int(stream(*key, "distractors").integers(least, most + 1))
@@ -98,7 +98,7 @@ def _shuffled(
 
 def _draw_team(task: Task, rng: np.random.Generator) -> tuple[str, ...]:
     team = task.teams[int(rng.integers(len(task.teams)))]
-    # Larger ones are listed in the order in which they stand; roles are drawn.
+    # Larger teams are listed in the order of the layout; their roles are drawn.
     return team if len(team) > 2 or rng.random() < 0.5 else team[::-1]
 
 
@@ -114,10 +114,10 @@ def _place_team(
     order: tuple[int, ...],
     rng: np.random.Generator,
 ) -> tuple[tuple[RobotPlacement, ...], Gap | None]:
-    """Stand the robots around the table.
+    """Place the robots around the table.
 
     Raises:
-        PlacementError: They do not fit on it.
+        PlacementError: They do not fit.
     """
     if len(team) == 2:
         return place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
@@ -128,7 +128,7 @@ def _place_team(
 
 
 def _distract(placer: ObjectPlacer) -> str:
-    """Add an object that the goal does not need, where it is not in the way."""
+    """Add a distractor and return its name."""
     kind = "cube" if placer.rng.random() < 0.5 else "pad"
     if not placer.has_colors(kind):
         kind = "pad" if kind == "cube" else "cube"

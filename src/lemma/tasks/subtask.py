@@ -1,4 +1,4 @@
-"""Sub-tasks: symbolic ones of a planner, and grounded ones of a grounder."""
+"""Symbolic and grounded sub-tasks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,34 +12,34 @@ from lemma.core.poses import Pose2
 class Primitive(StrEnum):
     """A primitive.
 
-    The members are the paper's six (section IV) and two of the ladder, which action
-    spaces and trained weights number in this order. ``Primitive("push")`` also finds
-    what users have added to :data:`lemma.planning.primitives.PRIMITIVES`.
+    The members are the paper's six (section IV) and two of the ladder, in the order of
+    their numbers in action spaces and trained weights. ``Primitive("push")`` also finds
+    primitives that users have added to :data:`lemma.planning.primitives.PRIMITIVES`.
     """
 
     MOVE = "move"
-    """Pick something up and put it down."""
+    """Pick an object up and put it down."""
     PREHOOK = "prehook"
     """Put the stick down with its hook behind a cube."""
     HOOK = "hook"
     """Drag the cube with the stick."""
     PREPOKE = "prepoke"
-    """Put the stick down with its head before a cube."""
+    """Put the stick down with its head in front of a cube."""
     POKE = "poke"
     """Push the cube with the stick."""
     STOP = "stop"
-    """Say that the goal is reached."""
+    """Declare that the goal is reached."""
     REACH = "reach"
-    """Hold an open hand over something, and stay there."""
+    """Hold the open gripper over an object, and stay there."""
     LIFT = "lift"
-    """Pick something up, and stay there with it."""
+    """Pick an object up, and stay there with it."""
 
     @classmethod
     def _missing_(cls, value: object) -> "Primitive":
-        """Find a primitive that was added.
+        """Return an added primitive.
 
         Raises:
-            UnknownNameError: There is none of that name.
+            UnknownNameError: No such primitive.
         """
         if value not in _added:
             raise UnknownNameError("primitive", value, primitive_names())
@@ -47,16 +47,15 @@ class Primitive(StrEnum):
 
 
 _added: dict[str, tuple[Primitive, str]] = {}
-"""Primitives that users added, and how sub-instructions say them."""
+"""Primitives that users added, with their phrases in sub-instructions."""
 
 
 def add_primitive(name: str, phrase: str) -> None:
-    """Make a name a primitive; see :data:`lemma.planning.primitives.PRIMITIVES`.
+    """Add a primitive; see :data:`lemma.planning.primitives.PRIMITIVES`.
 
     Args:
         name: A lower-case word.
-        phrase: How sub-instructions say it, with slots ``{robot}``, ``{pick}`` and
-            ``{place}``.
+        phrase: Its sub-instruction, with slots ``{robot}``, ``{pick}`` and ``{place}``.
 
     Raises:
         InvalidConfigError: The name is no lower-case word, or the phrase has another
@@ -76,41 +75,45 @@ def add_primitive(name: str, phrase: str) -> None:
     if name in _added:
         member = _added[name][0]
     else:
-        # As Flag makes its members: equal names are one object, also after pickling.
+        # Like enum.Flag, so that equal names are one object, also after pickling.
         member = str.__new__(Primitive, name)
         member._name_, member._value_ = name.upper(), name
     _added[name] = member, phrase
 
 
 def primitive_names() -> tuple[str, ...]:
-    """Return every primitive in the order of their numbers: ours, then users'."""
+    """Return the names of all primitives in the order of their numbers."""
     return (*(str(primitive) for primitive in Primitive), *_added)
 
 
 def added_phrase(name: str) -> str | None:
-    """Return how a primitive is said that users have added; None for others."""
+    """Return the phrase of a primitive that users have added; None for others."""
     return _added[name][1] if name in _added else None
 
 
 @dataclass(frozen=True, slots=True)
 class SubTask:
-    """A symbolic sub-task: the paper's d_m with g_m = (e, p, q) and robot gamma_m."""
+    """A symbolic sub-task: the paper's d_m with g_m = (e, p, q) and robot gamma_m.
+
+    Raises:
+        UnknownNameError: No such primitive.
+    """
 
     robot: str
-    """Name of the robot: ``"robot_0"``; empty for ``stop``."""
+    """Name of the robot, such as ``"robot_0"``; empty for ``stop``."""
     primitive: Primitive
     pick: str = ""
-    """Entity to grasp; the stick for all primitives but ``move``."""
+    """Entity to grasp: the stick for the four primitives of the tool."""
     place: str = ""
-    """Entity to put it on, ``"shared"``, or the cube that the stick acts on; the pick
-    itself for ``reach`` and ``lift``."""
+    """Entity or region to put it on, or the cube that the stick acts on; equal to
+    ``pick`` for ``reach`` and ``lift``."""
 
     def __post_init__(self) -> None:
-        """Take the primitive's name as well, and refuse one that nobody knows."""
+        """Convert a name to a primitive."""
         object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def __str__(self) -> str:
-        """Return one readable line."""
+        """Return a readable line."""
         if self.primitive is Primitive.STOP:
             return "stop"
         return f"{self.robot} {self.primitive} {self.pick} -> {self.place}"
@@ -126,7 +129,7 @@ class SubTask:
 
     @classmethod
     def from_dict(cls, data: dict[str, str]) -> "SubTask":
-        """Make a sub-task from what :meth:`to_dict` returned."""
+        """Create a sub-task from the result of :meth:`to_dict`."""
         return cls(
             data["robot"], Primitive(data["primitive"]), data["pick"], data["place"]
         )
@@ -134,16 +137,19 @@ class SubTask:
 
 STOP = SubTask("", Primitive.STOP)
 PAPER_PRIMITIVES = tuple(Primitive)[:6]
-"""The six of the paper; heads of trained models have one number for each."""
+"""The paper's six; heads of trained models have one output for each."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundedSubTask:
-    """A sub-task that a robot can execute: poses of the gripper on the table.
+    """A sub-task that a robot can execute, with poses of the gripper.
 
-    Both poses are those of the gripper, pointing down: where it closes, and where it is
-    when the motion ends. The yaw is the direction of the gripper's x axis, which the
-    fingers close across; half a turn makes no difference.
+    Both poses are world from gripper, pointing down: at the grasp, and at the end of
+    the motion. The yaw is the direction of the gripper's x axis; the fingers close
+    across it, so yaws that differ by pi are equivalent.
+
+    Raises:
+        UnknownNameError: No such primitive.
     """
 
     robot: str
@@ -152,7 +158,7 @@ class GroundedSubTask:
     place: Pose2
 
     def __post_init__(self) -> None:
-        """Take the primitive's name as well, and refuse one that nobody knows."""
+        """Convert a name to a primitive."""
         object.__setattr__(self, "primitive", Primitive(self.primitive))
 
     def to_dict(self) -> dict[str, Any]:
@@ -166,7 +172,7 @@ class GroundedSubTask:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "GroundedSubTask":
-        """Make a grounded sub-task from what :meth:`to_dict` returned."""
+        """Create a grounded sub-task from the result of :meth:`to_dict`."""
         return cls(
             data["robot"],
             Primitive(data["primitive"]),

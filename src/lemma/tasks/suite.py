@@ -1,4 +1,4 @@
-"""The tasks of the suites, and instances of any task, frozen or sampled."""
+"""Frozen and sampled instances of tasks."""
 
 import gzip
 import json
@@ -28,20 +28,20 @@ __all__ = [
 ]
 
 FREE_SPLIT = "free"
-"""Split of instances that are sampled on demand, numbered by their seed."""
+"""Split of instances that are sampled on demand; their index is the seed."""
 
 
 def has_frozen_lists(task: str) -> bool:
-    """Return whether a task has frozen lists of instances: those of suites have."""
+    """Return whether a task has frozen lists of instances, as tasks of suites do."""
     return task in LISTED
 
 
 def default_split(task: str, split: str = "train") -> str:
-    """Return the split to take where none is named.
+    """Return the default split of a task.
 
     Args:
         task: Name of the task.
-        split: The one to take if the task has frozen lists; ``"free"`` otherwise.
+        split: The split of tasks with frozen lists; that of others is ``"free"``.
     """
     return split if has_frozen_lists(task) else FREE_SPLIT
 
@@ -68,7 +68,7 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     Args:
         task: Name of the task.
         split: ``"train"``, ``"val"``, ``"test"`` or ``"free"``.
-        index: Number in the split; of a free instance, its seed.
+        index: Index in the split; the seed for ``"free"``.
 
     Raises:
         UnknownNameError: No such task or split.

@@ -1,4 +1,4 @@
-"""Tasks: how a table is set, and the sentences that ask for the goal."""
+"""Tasks: arrangement of objects, goals, and instructions."""
 
 import re
 from collections.abc import Callable
@@ -20,51 +20,55 @@ TEAMS: tuple[tuple[str, ...], ...] = (
     ("ur5", "ur10"),
     ("ur10", "ur10"),
 )
-"""The benchmark's three teams; a mixed one stands in either order."""
+"""The benchmark's three teams; a mixed team is used in either order."""
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One task: data, and one function that sets the table."""
+    """One task: data, and a function that places the objects.
+
+    Raises:
+        InvalidConfigError: A field has a wrong type or value.
+    """
 
     name: str
-    """Registry name, of lower-case words: ``"poke_stack"``."""
+    """Name in the registry, lower-case words such as ``"poke_stack"``."""
     summary: str
-    """One sentence for people."""
+    """One sentence for humans."""
     subtasks: int
-    """Sub-tasks of the shortest plan."""
+    """Number of sub-tasks of the shortest plan."""
     distractors: tuple[int, int]
-    """Fewest and most objects that the goal does not need."""
+    """Smallest and largest number of distractors, objects that the goal does not need.
+    """
     arrange: Callable[[ObjectPlacer], Goal]
-    """Places the objects that matter, and returns the goal."""
+    """Places the objects of the goal, and returns the goal."""
     language: LanguageBank
-    """Its instructions."""
+    """The templates of its instructions."""
     teams: tuple[tuple[str, ...], ...] = TEAMS
-    """Arm types of the teams that instances are drawn from, each as likely. A pair
-    stands in either order; a larger team in the order of the layout."""
+    """Arm types of the teams, which are drawn with equal probability. A pair is used in
+    either order, a larger team in the order of the layout."""
     rules: tuple[str, ...] = ()
-    """Kinds of rules of which each instance has one, each as likely; ``arrange`` finds
-    it as ``placer.rule``. Names in :data:`~lemma.tasks.teams.rule.RULES`."""
+    """Kinds of rules, names in :data:`~lemma.tasks.teams.rule.RULES`. Each instance has
+    one, drawn with equal probability; ``arrange`` gets it as ``placer.rule``."""
     kinds: tuple[str, ...] = ()
-    """Kinds of objects on its tables that others do not have, such as ``"plank"``: its
-    actions and observations count them. Names in
-    :data:`~lemma.scene.objects.kind.OBJECT_KINDS`."""
+    """Unlisted kinds of objects on its tables, such as ``"plank"``, names in
+    :data:`~lemma.scene.objects.kind.OBJECT_KINDS`. Its actions and observations have
+    numbers for them, after those of all other entities."""
     layout: str = "pair"
-    """Where the robots stand: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
+    """Layout of the robots: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False
-    """Whether the robots of all its instances stand in the same places, of the same
-    arms and colors: those of the first team."""
+    """Whether poses, arms and colors of the robots are the same in all instances: those
+    of the first team."""
     alone: bool = False
-    """Whether the robot that can do it needs no other one. The audit attacks with those
-    that cannot."""
+    """Whether one robot can solve it alone. The audit then attacks with the robots that
+    cannot."""
     apart: bool = False
-    """Whether the robots share no region, but stand so far apart that only the stick
-    bridges the gap."""
+    """Whether the robots share no region, but a gap that only the stick bridges."""
 
     def __post_init__(self) -> None:
-        """Check types, the name and the numbers."""
+        """Check types, name and numbers."""
         check_fields("task", self.name, self)
         if not _NAME.fullmatch(self.name):
             raise InvalidConfigError(
@@ -88,15 +92,15 @@ class Task:
 
     @property
     def gym_id(self) -> str:
-        """Gymnasium name: ``"lemma/PokeStack-v0"``."""
+        """Gymnasium id, such as ``"lemma/PokeStack-v0"``."""
         return gym_id(self.name)
 
 
 def _make_known(name: str, task: Task) -> None:
-    """Tell Gymnasium of a task, and whoever draws its instructions.
+    """Register a task with Gymnasium, and its templates.
 
     Raises:
-        InvalidConfigError: Another one has its name there.
+        InvalidConfigError: Gymnasium has another task of this id.
     """
     known = registration.registry.get(task.gym_id)
     if known is None:
@@ -112,5 +116,5 @@ def _make_known(name: str, task: Task) -> None:
 
 
 TASKS: Registry[Task] = Registry("task", Task, on_add=_make_known)
-"""Every task that can be sampled, built-in ones first. An added task is known to
-Gymnasium, to every function that takes the name of a task, and to the command line."""
+"""All tasks, built-in ones first. An added task is available in Gymnasium, in all
+functions that take the name of a task, and on the command line."""

@@ -1,8 +1,9 @@
-"""Parts of the table, by who could do what there.
+"""Zones: parts of the table that are defined by the robots' reachable sets.
 
-Robots are kept apart by what they *could* do (:mod:`lemma.robots.could`), not by what
-they are told to do: what is exclusive to one robot works for it and is out of every
-other's possibilities, whatever the others do with their hands.
+Exclusion uses the outer bound of the reachable set (:mod:`lemma.robots.could`): an
+object that is exclusive to one robot is inside that robot's inner bound
+(:mod:`lemma.robots.reach`) and outside the outer bound of all others. So no orientation
+of another robot's gripper can touch it.
 """
 
 import math
@@ -23,93 +24,93 @@ from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
 
 INSIDE_M = 0.03
-"""How far inside its reach a robot's objects are, at least."""
+"""Smallest margin of a robot's objects inside its reach."""
 OUTSIDE_M = 0.03
-"""How far outside of its possibilities lies what a robot shall not touch, at least."""
+"""Smallest margin outside a robot's outer bound, for objects that it must not touch."""
 REMOTE_M = 0.09
-"""How far outside of its possibilities lies that on which it shall put nothing, at
-least. A cube whose near edge a fingertip touches, and that then moves on by itself as
-far as it may (:data:`~lemma.scene.coasting.COAST_M`), does not get there."""
+"""Smallest margin outside a robot's outer bound, for objects on which it must not place
+anything. A cube that a fingertip just reaches, and that then coasts as far as allowed
+(:data:`~lemma.scene.coasting.COAST_M`), does not get there."""
 
 FROM_EDGE_M = 0.01
-"""Between the disc around an object and the table's edge, at least."""
+"""Smallest gap between the disc around an object and the table's edge."""
 SLIDE_M = 0.15
-"""How far a tower that a hand has pushed slides on, at most: two cubes that lie on each
-other slow down alike. Since nothing may coast farther than
-:data:`~lemma.scene.coasting.COAST_M`, this has a margin of 10 cm."""
+"""Bound on the distance that a tower slides after a push; both cubes of a tower
+decelerate equally. No object may coast farther than
+:data:`~lemma.scene.coasting.COAST_M`, so the bound has a margin of about 10 cm."""
 STICK_DIAGONAL_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
-"""How much farther the stick lets a robot do anything, however it is held."""
+"""Bound on the extension of a robot's reach by the stick, for any grasp."""
 _MAP_EDGE_M = 0.06
-"""Things lie on the top-down map as a whole."""
+"""Smallest distance of an object's centre from the edge of the top-down map."""
 _FACING_RAD = math.radians(170.0)
-"""Objects lie around their robot, but not straight behind it."""
+"""Largest bearing of objects relative to their robot's front."""
 _HIDDEN_RAD = (math.radians(65.0), math.radians(160.0))
-"""The waiting arm, at the left side, hides what is near between these bearings."""
+"""Bearings between which the parked arm, on the left side, hides near objects."""
 _HIDDEN_REACH = 0.8
 
 Mask = NDArray[np.bool_]
 Sift = Callable[[ObjectKind, FloatArray, FloatArray], Mask]
-"""Which of many positions (n,), (n,) [m] suit a kind of object."""
+"""Returns which positions x, y, (n,) each [m], are valid for a kind of object."""
 
 
 @dataclass(frozen=True)
 class Zone:
-    """Where something may lie."""
+    """A set of valid positions for an object."""
 
     sift: Sift
-    """Looks at many positions at once."""
+    """Vectorized check of many positions."""
     check: Callable[[Pose2], bool] | None = None
-    """Looks at one that was not sifted out; None if nothing is left to check."""
+    """Further check of a single pose; None if there is none."""
     barred: tuple[int, ...] = ()
-    """Robots that could do nothing there. See :meth:`Territory.keeps_off`."""
+    """Robots that cannot reach the zone. See :meth:`Territory.keeps_off`."""
     tool: bool = False
-    """Whether they could do nothing even with the stick in their hand."""
+    """Whether they cannot reach it even with the stick."""
     says: str = ""
-    """Where that is, for people: "where ..." with robots by number in braces."""
+    """Description for humans: "where ...", with indices of robots in braces."""
 
     @classmethod
     def where(cls, check: Callable[[Pose2], bool]) -> "Zone":
-        """Return the poses for which a function is true; for zones of one's own."""
+        """Return the zone of all poses for which a function returns True."""
         return cls(lambda kind, x, y: np.ones(len(x), np.bool_), check)
 
 
 ZoneLike = Zone | Callable[[Pose2], bool]
-"""A zone, or a function that is true where something may lie."""
+"""A zone, or a function that returns whether a pose is valid."""
 
 
 class Territory:
-    """Reach of each robot over many positions of the table at once."""
+    """Vectorized checks of the reach of a team's robots."""
 
     def __init__(
         self, robots: tuple[RobotPlacement, ...], gap_m: Gap | None = None
     ) -> None:
-        """Prepare for a team.
+        """Prepare the checks.
 
         Args:
             robots: The team.
-            gap_m: Where the table is missing.
+            gap_m: The gap in the table; None without one.
         """
         self.robots = robots
         self.gap_m = gap_m
         self._views = tuple(CameraFootprint(robot) for robot in robots)
 
     def reach(self, robot: int) -> Reach:
-        """Return where a robot surely works."""
+        """Return the inner bound of a robot's reachable set."""
         return reach_of(self.robots[robot].arm)
 
     def could(self, robot: int) -> Could:
-        """Return where a robot could possibly do anything."""
+        """Return the outer bound of a robot's reachable set."""
         return could_of(self.robots[robot].arm)
 
     def only(self, *robots: int, tool: bool = False, beyond_m: float = 0.0) -> Zone:
-        """Where one robot works, or each of some, and no other could do anything.
+        """Return the zone that all given robots reach, and no other robot.
 
         Args:
-            robots: Which.
-            tool: Whether the others could do nothing even with the stick in their
-                hand, such as to carry a cube there on it.
-            beyond_m: How long another thing is with which they could do nothing either
-                [m].
+            robots: Indices of the robots.
+            tool: Whether the others must not reach it even with the stick, for example
+                to carry a cube there on it.
+            beyond_m: Length of another object with which the others must not reach it
+                either [m].
         """
         others = tuple(r for r in range(len(self.robots)) if r not in robots)
 
@@ -133,7 +134,7 @@ class Territory:
         return Zone(sift, barred=others, tool=tool, says=says)
 
     def nobody(self) -> Zone:
-        """Where no robot could do anything."""
+        """Return the zone that no robot can reach."""
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = np.ones(len(x), np.bool_)
@@ -144,7 +145,10 @@ class Territory:
         return Zone(sift, says="where no robot could touch it")
 
     def anywhere(self) -> Zone:
-        """Where each robot either surely works or could do nothing."""
+        """Return the zone without positions between any robot's inner and outer bound.
+
+        There each robot either reaches an object with a margin, or cannot touch it.
+        """
 
         def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
             found = np.ones(len(x), np.bool_)
@@ -155,13 +159,13 @@ class Territory:
         return Zone(sift, says="where each robot either works or could not touch it")
 
     def distance(self, robot: int, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return how far positions are from a robot's base, (n,) [m]."""
+        """Return the distances of positions x, y, (n,) [m], from a base, (n,) [m]."""
         base = self.robots[robot].base
         distance: FloatArray = np.sqrt((x - base.x) ** 2 + (y - base.y) ** 2)
         return distance
 
     def works(self, robot: int, x: FloatArray, y: FloatArray) -> Mask:
-        """Return which positions are surely in a robot's reach."""
+        """Return which positions x, y, (n,) [m], a robot reaches with a margin."""
         reach, r = self.reach(robot), self.distance(robot, x, y)
         inside: Mask = np.minimum(r - reach.inner_m, reach.travel_m - r) >= INSIDE_M
         return inside
@@ -176,15 +180,18 @@ class Territory:
         tool: bool = False,
         by_m: float = OUTSIDE_M,
     ) -> Mask:
-        """Return at which positions a robot could do nothing to a kind of thing.
+        """Return at which positions a robot cannot reach a kind of object.
 
         Args:
-            robot: Which.
-            kind: Of thing.
-            x: World positions, (n,) [m].
-            y: World positions, (n,) [m].
-            tool: Whether with the stick in its hand, held by either end.
-            by_m: How far beyond its possibilities they are, at least [m].
+            robot: Index of the robot.
+            kind: Kind of the object.
+            x: World x, (n,) [m].
+            y: World y, (n,) [m].
+            tool: Whether the robot holds the stick, by either end.
+            by_m: Margin outside the outer bound [m].
+
+        Returns:
+            One flag per position, (n,).
         """
         safe_m = self.safe_m(robot, kind, tool=tool) + by_m
         return self.distance(robot, x, y) >= safe_m
@@ -192,29 +199,35 @@ class Territory:
     def keeps_off(
         self, robot: int, placed: ObjectPlacement, row_m: float, *, tool: bool = False
     ) -> bool:
-        """Return whether a robot cannot even push a tower to a thing.
+        """Return whether an object is out of reach even for pushed towers of cubes.
 
-        A cube is put upon something out of reach if it is the upper one of two that
-        are pushed there: where the lower one is stopped, it slides or tips over. So the
-        distance must be more than a row of cubes is long, and than it slides on.
+        If a robot pushes a tower against an object, the upper cube may slide or tip
+        onto it. So the distance must exceed the length of a row of cubes plus the
+        distance that a tower slides.
 
         Args:
-            robot: Which.
-            placed: The thing.
-            row_m: Length of a row of all that it could push.
-            tool: Whether with the stick in its hand.
+            robot: Index of the robot.
+            placed: The object.
+            row_m: Length of a row of all objects that the robot could push [m].
+            tool: Whether the robot holds the stick.
         """
         kind, at = placed.entity.kind, placed.pose
         safe_m = self.safe_m(robot, kind, tool=tool) + OUTSIDE_M + row_m + SLIDE_M
         return self.robots[robot].base.distance(at) >= safe_m
 
     def safe_m(self, robot: int, kind: ObjectKind, *, tool: bool = False) -> float:
-        """Return the distance from which on a robot could do nothing to a thing."""
+        """Return the distance from a robot's base beyond which it cannot reach [m].
+
+        Args:
+            robot: Index of the robot.
+            kind: Kind of the object to reach.
+            tool: Whether the robot holds the stick.
+        """
         safe_m = self.could(robot).radius_m(kind.disc_m, kind.support_m or 0.0)
         return safe_m + (STICK_DIAGONAL_M if tool else 0.0)
 
     def on_table(self, x: FloatArray, y: FloatArray, edge_m: float) -> Mask:
-        """Return which positions are on a table top, so far from its edges [m]."""
+        """Return which positions x, y, (n,) [m], are ``edge_m`` inside a table top."""
         inside = np.zeros(len(x), np.bool_)
         for left, right in tops(self.gap_m):
             inside |= (x >= left + edge_m) & (x <= right - edge_m)
@@ -222,7 +235,10 @@ class Territory:
         return inside
 
     def in_view(self, x: FloatArray, y: FloatArray) -> Mask:
-        """Return which positions lie before some robot, in its camera's view."""
+        """Return which positions x, y, (n,) [m], are in view of a robot's camera.
+
+        They must also be in front of that robot and on the top-down map.
+        """
         along_x, along_y = (0.5 * size - _MAP_EDGE_M for size in RASTER.size_m)
         on_map = (np.abs(x) <= along_x) & (np.abs(y) <= along_y)
         seen = np.zeros(len(x), np.bool_)

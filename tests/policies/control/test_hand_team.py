@@ -2,6 +2,7 @@
 
 from copy import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import lemma
 from lemma.policies.control.hand_steps import COLUMNS, HandPolicy
 from lemma.policies.control.hand_team import HandTeam, HandTeamPolicy
 
+OPTIONS: dict[str, Any] = HandPolicy.control_options
 WEIGHTS = str(Path(__file__).parents[3] / "weights" / "hand_place.pt")
 
 
@@ -24,7 +26,7 @@ def still(x: torch.Tensor) -> torch.Tensor:
 def test_an_object_goes_to_where_the_next_robot_reaches(
     task: str, handed_on: bool
 ) -> None:
-    with lemma.make(task, split="val", **HandPolicy.control_options) as env:
+    with lemma.make(task, split="val", **OPTIONS) as env:
         seen, _ = env.reset(options={"index": 0})
     team = HandTeam(seen)
     team.step(seen, still)
@@ -37,7 +39,7 @@ def test_an_object_goes_to_where_the_next_robot_reaches(
 
 
 def test_a_step_leaves_an_older_memory_as_it_was() -> None:
-    with lemma.make("place", split="val", **HandPolicy.control_options) as env:
+    with lemma.make("place", split="val", **OPTIONS) as env:
         seen, _ = env.reset(options={"index": 0})
     first = HandTeam(seen)
     first.step(seen, still)
@@ -53,7 +55,6 @@ def test_placing_suffices_for_hand_overs_towers_and_relays(task: str) -> None:
     result = lemma.evaluate(
         HandTeamPolicy(WEIGHTS),
         level="control",
-        suite="teams" if task == "relay" else None,
         tasks=(task,),
         split="val",
         episodes=2,

@@ -75,7 +75,7 @@ def test_a_template_refuses_a_goal_of_another_shape():
 def test_a_bank_refuses_empty_kinds_repetitions_and_mixed_goals():
     with pytest.raises(InvalidConfigError, match="No 'unseen' templates"):
         LanguageBank.from_strings(["{top} on {bottom}"], ["{top} upon {bottom}"], [])
-    with pytest.raises(InvalidConfigError, match="same words"):
+    with pytest.raises(InvalidConfigError, match="same wording"):
         LanguageBank.from_strings(
             ["{top} on {bottom}"], ["{top} upon {bottom}"], ["{top} Upon {bottom}!"]
         )

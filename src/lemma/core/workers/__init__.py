@@ -1,1 +1,1 @@
-"""Worker processes: of this machine, or of a Ray cluster."""
+"""Worker processes of this machine or of a Ray cluster."""

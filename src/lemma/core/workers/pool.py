@@ -1,8 +1,8 @@
 """The worker pool: many calls of one function, in several processes of this machine.
 
-A job is a plain function of plain arguments. Return values come back in the order in
-which jobs end; earlier reports, such as progress, come back at once. A Ray cluster does
-the same for many machines, see :mod:`lemma.core.workers.ray_cluster`.
+A job is one call of the function. Return values arrive in the order in which jobs end;
+reports of a job, such as progress, arrive at once. For a Ray cluster of many machines
+see :mod:`lemma.core.workers.ray_cluster`.
 """
 
 import atexit
@@ -26,13 +26,13 @@ from lemma.core.workers.resources import usable_cores
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back, here for a moment and in processes started now for good.
+    """Delay Ctrl-C until the end of the block; processes started in it never get it.
 
-    The terminal sends it to all of them, and each would die with a traceback.
+    The terminal sends it to all processes, and workers would end with a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    # The mask is inherited, yet it is of this thread alone: another one may take the
-    # signal, and then Python calls the handler here all the same.
+    # Child processes inherit the mask, but it holds for this thread alone: another
+    # thread may get the signal, and Python still calls the handler in the main thread.
     handler = signal.getsignal(signal.SIGINT)
     is_ours = threading.current_thread() is threading.main_thread() and callable(
         handler
@@ -56,11 +56,11 @@ Listener = Callable[[Any], None]
 """Called with each report of a job."""
 
 MOST_DEATHS = 5
-"""How many workers may die of one job."""
+"""Number of workers that may die during one job."""
 _WORKER = "LEMMA_WORKER"
 """Environment variable that is set in worker processes."""
 _END_S = 2.0
-"""How long a worker that has nothing left to do may take to end [s]."""
+"""Longest time for a worker without jobs to end [s]."""
 
 
 class Engine(Protocol):
@@ -68,7 +68,7 @@ class Engine(Protocol):
 
     @property
     def workers(self) -> int:
-        """How many jobs run at a time."""
+        """Number of jobs that run at the same time."""
         ...
 
     def run(
@@ -77,36 +77,36 @@ class Engine(Protocol):
         jobs: Sequence[Job],
         on_report: Listener = ...,
     ) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end.
+        """Yield the return value of each job, in the order in which they end.
 
         Args:
-            function: Function that every job calls; it belongs to a module.
+            function: Function that every job calls, at the top level of a module.
             jobs: Arguments of each call.
-            on_report: Called with each report of a job, before that has ended.
+            on_report: Called with each report of a job, before the job has ended.
         """
         ...
 
 
 def ignore(message: Any) -> None:
-    """Take no notice."""
+    """Ignore a report."""
 
 
 _listener: Listener = ignore
-"""The listener to reports of the job in this process."""
+"""The listener for reports of the job in this process."""
 
 
 def report(message: Any) -> None:
-    """Report to the caller of this job before it ends: that a part of it is done.
+    """Send a report of this job, such as progress, before the job ends.
 
     Args:
-        message: Anything that can be pickled. Outside of a job nobody hears it.
+        message: Any object that can be pickled. Outside of a job it is ignored.
     """
     _listener(message)
 
 
 @contextmanager
 def heard_by(listener: Listener) -> Iterator[None]:
-    """Let somebody hear what is reported in this process meanwhile."""
+    """Pass reports in this process to a listener, inside the block."""
     global _listener
     before, _listener = _listener, listener
     try:
@@ -118,7 +118,7 @@ def heard_by(listener: Listener) -> Iterator[None]:
 def run_in_order(
     engine: Engine, function: Callable[..., Any], jobs: Sequence[Job]
 ) -> Iterator[Any]:
-    """Yield what each job returned, in the order of the jobs.
+    """Yield the return value of each job, in the order of the jobs.
 
     Args:
         engine: Workers that run the jobs.
@@ -136,30 +136,30 @@ def run_in_order(
 
 
 def numbered(number: int, function: Callable[..., Any], job: Job) -> tuple[int, Any]:
-    """Return the number of a job, and what the job returned."""
+    """Run a job; return its number and its return value."""
     return number, function(*job)
 
 
 class ProcessPool:
     """Runs jobs in several processes of this machine.
 
-    A process that dies is replaced, and its job is done again. Processes are killed
-    when the iteration ends before its time: by an error, by Ctrl-C, or because nobody
-    goes on with it. Ctrl-C itself does not reach them.
+    A process that dies is replaced, and its job is repeated. If the iteration ends
+    early, by an error, by Ctrl-C or because it is abandoned, the processes are killed.
+    They do not get Ctrl-C themselves.
     """
 
     def __init__(self, workers: int | None = None) -> None:
         """Set the number of processes.
 
         Args:
-            workers: Most processes at a time; as many as there are cores if None.
+            workers: Largest number of processes; the number of usable cores if None.
 
         Raises:
-            InvalidConfigError: Fewer than one.
+            InvalidConfigError: The number is below 1.
         """
         self.workers = usable_cores() if workers is None else workers
         if self.workers < 1:
-            raise InvalidConfigError(f"Workers are 1 or more, not {workers}.")
+            raise InvalidConfigError(f"There must be 1 or more workers, not {workers}.")
 
     def run(
         self,
@@ -167,15 +167,15 @@ class ProcessPool:
         jobs: Sequence[Job],
         on_report: Listener = ignore,
     ) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end.
+        """Yield the return value of each job, in the order in which they end.
 
         Args:
-            function: Function that every job calls; it belongs to a module.
+            function: Function that every job calls, at the top level of a module.
             jobs: Arguments of each call.
             on_report: Called with each report of a job, in the order of arrival.
 
         Raises:
-            WorkerError: Processes keep dying of a job, or cannot begin at all.
+            WorkerError: Processes die repeatedly during a job, or cannot start.
         """
         waiting = deque(_Task(function, job) for job in jobs)
         team: set[_Worker] = set()
@@ -199,10 +199,10 @@ class ProcessPool:
         waiting: "deque[_Task]",
         on_report: Listener,
     ) -> Iterator[Any]:
-        """Deal with one message of a worker, or with its death; yield a result.
+        """Process one message of a worker, or its death; yield a result if any.
 
         Raises:
-            WorkerError: It was one death too many, or it could not begin.
+            WorkerError: Too many workers died, or this one could not start.
         """
         message = worker.hear()
         if message is None:
@@ -231,7 +231,7 @@ class ProcessPool:
 
 @dataclass(slots=True, eq=False)
 class _Task:
-    """A job, and how many workers died of it."""
+    """A job, and the number of workers that died during it."""
 
     function: Callable[..., Any]
     job: Job
@@ -241,19 +241,19 @@ class _Task:
         """Count a death.
 
         Raises:
-            WorkerError: It was one too many.
+            WorkerError: Too many workers died.
         """
         self.deaths += 1
         if self.deaths == MOST_DEATHS:
             raise WorkerError(
-                f"{MOST_DEATHS} worker processes died, one after another, of the same "
-                "job. If the system ends them for lack of memory, use fewer with "
+                f"{MOST_DEATHS} worker processes died, one after another, during the "
+                "same job. If the system ends them for lack of memory, use fewer with "
                 "--workers; each needs 500 MB."
             )
 
 
 class _Worker:
-    """A process of its own at the other end of a pipe, which does one job at a time."""
+    """A process that runs one job at a time, connected by a pipe."""
 
     def __init__(self) -> None:
         # OpenGL does not survive a fork.
@@ -266,42 +266,42 @@ class _Worker:
         self.begun = False
 
     def hear(self) -> tuple[str, Any] | None:
-        """Return the next message; None if it died."""
+        """Return the next message; None if the process died."""
         with suppress(EOFError, OSError):
             message: tuple[str, Any] = self.pipe.recv()
             return message
         return None
 
     def check_begun(self) -> None:
-        """Check, of a process that died, that it was not the program that ended it.
+        """Check that a dead process had started or was killed by a signal.
 
         Raises:
-            WorkerError: It ended by itself before it could be given any job.
+            WorkerError: It ended by itself before it could get a job.
         """
-        # A signal, such as that for lack of memory, gives a negative code.
+        # The exit code is negative after a signal, such as that for lack of memory.
         if self.begun or (self.process.exitcode or 0) < 0:
             return
         raise WorkerError(
-            "A worker process ended before it could begin; what it printed says why. "
-            "Each imports the program that starts it: what a script does goes under "
-            "'if __name__ == \"__main__\":', or every worker does it again."
+            "A worker process ended before it could begin; see its output above. Every "
+            "worker imports the program that started it. If that is a script, put its "
+            "code under 'if __name__ == \"__main__\":', or every worker runs it again."
         )
 
     def begin(self, task: _Task) -> None:
         """Send a job."""
         self.task = task
-        # If the process is gone already, that shows when it is listened to.
+        # If the process is dead already, `hear` detects it.
         with suppress(BrokenPipeError, ConnectionResetError):
             self.pipe.send((task.function, task.job))
 
 
 _working: set[_Worker] = set()
-"""All workers of this process: it must not end before them, and wait for them."""
+"""All workers of this process, which must be ended before it exits."""
 
 
 def _hire(team: set[_Worker]) -> _Worker:
     """Start a worker of a team."""
-    # The first worker would start it, and that lets go of interrupts.
+    # Otherwise the first worker would start it, which unblocks interrupts.
     resource_tracker.ensure_running()
     with interrupts_held():
         worker = _Worker()
@@ -311,8 +311,8 @@ def _hire(team: set[_Worker]) -> _Worker:
 
 
 def _wait_for_any(team: set[_Worker]) -> list[_Worker]:
-    """Wait until workers say something or die; return those."""
-    # A pipe alone may stay open behind a dead worker: what it started may hold it.
+    """Wait until workers send a message or die; return those."""
+    # Wait for the processes too: children of a dead worker may keep its pipe open.
     ends = {worker.process.sentinel: worker for worker in team}
     pipes = {worker.pipe: worker for worker in team}
     ready = set(wait([*pipes, *ends]))
@@ -326,13 +326,13 @@ def _wait_for_any(team: set[_Worker]) -> list[_Worker]:
 
 
 def _end(team: set[_Worker], patience_s: float = 0.0) -> None:
-    """End workers, by force where they take longer.
+    """End workers; kill those that take too long.
 
     Args:
         team: The workers.
-        patience_s: How long one may take to end by itself [s]; 0 to kill it.
+        patience_s: Time for each worker to end by itself [s]; 0 kills it at once.
     """
-    # A second Ctrl-C must not leave some of them.
+    # A second Ctrl-C must not interrupt this.
     with interrupts_held():
         for worker in team:
             worker.pipe.close()
@@ -344,25 +344,25 @@ def _end(team: set[_Worker], patience_s: float = 0.0) -> None:
             _working.discard(worker)
 
 
-# Before multiprocessing's own, which was registered first and waits for every process.
+# Runs before multiprocessing's own function, which waits for every process.
 atexit.register(lambda: _end(set(_working)))
 
 
 def is_worker() -> bool:
-    """Return whether this process works for another, beside others."""
+    """Return whether this process is a worker."""
     return _WORKER in os.environ
 
 
 def become_worker() -> None:
-    """Note that this process works for another."""
+    """Mark this process as a worker."""
     os.environ[_WORKER] = "1"
 
 
 def _work(pipe: "Connection[Any, Any]") -> None:
-    """Do jobs until nobody asks any more."""
+    """Run jobs until the pipe is closed."""
     become_worker()
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    # A closed pipe means that there is no more.
+    # A closed pipe means that there are no more jobs.
     gone = suppress(EOFError, ConnectionResetError, BrokenPipeError)
     with gone, heard_by(lambda message: pipe.send(("report", message))):
         pipe.send(("begun", None))
@@ -371,14 +371,14 @@ def _work(pipe: "Connection[Any, Any]") -> None:
 
 
 def _answer(pipe: "Connection[Any, Any]") -> bytes:
-    """Return what comes of the next job.
+    """Run the next job; return its pickled result or error.
 
     Raises:
-        EOFError: There is none.
+        EOFError: There are no more jobs.
     """
     request = pipe.recv_bytes()
     try:
-        # First of all: a job may be made of things that a plugin has registered.
+        # Load plugins first, because unpickling a job may need their records.
         load_plugins()
         function, job = pickle.loads(request)
         return pickle.dumps(("result", function(*job)))
@@ -387,7 +387,7 @@ def _answer(pipe: "Connection[Any, Any]") -> bytes:
 
 
 def _portable(error: BaseException) -> BaseException:
-    """Return an exception as it can be sent, with a note where it comes from."""
+    """Return an exception that can be pickled, with the traceback as a note."""
     error.add_note("In a worker: " + "".join(traceback.format_exception(error)))
     try:
         pickle.loads(pickle.dumps(error))
@@ -397,7 +397,7 @@ def _portable(error: BaseException) -> BaseException:
 
 
 def _die_with_parent() -> None:
-    """End this process as soon as its parent is gone, however it went."""
+    """End this process as soon as its parent has ended."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -415,12 +415,12 @@ class Serial:
         jobs: Sequence[Job],
         on_report: Listener = ignore,
     ) -> Iterator[Any]:
-        """Yield what each job returned.
+        """Yield the return value of each job, in order.
 
         Args:
             function: Function that every job calls.
             jobs: Arguments of each call.
-            on_report: Called with each report of a job, before that has ended.
+            on_report: Called with each report of a job, before the job has ended.
         """
         for job in jobs:
             with heard_by(on_report):

@@ -1,4 +1,4 @@
-"""The worker pool of many machines: a Ray cluster, which is an extra."""
+"""The worker pool of many machines: a Ray cluster, which needs an extra."""
 
 import os
 import socket
@@ -19,7 +19,7 @@ from lemma.core.workers.pool import (
 )
 
 _AHEAD = 2
-"""Jobs per core that the cluster is told of at a time."""
+"""Jobs per core that are submitted to the cluster in advance."""
 _PATIENCE_S = 10.0
 
 
@@ -27,7 +27,7 @@ class RayCluster:
     """Runs jobs on a Ray cluster whose machines share a file system."""
 
     def __init__(self, address: str) -> None:
-        """Connect to a cluster, or use the one that this process is connected to.
+        """Connect to a cluster, or use the existing connection of this process.
 
         Args:
             address: Address of the cluster, or ``"auto"``.
@@ -56,7 +56,7 @@ class RayCluster:
 
     @property
     def workers(self) -> int:
-        """Cores of the cluster."""
+        """Number of cores of the cluster."""
         return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def run(
@@ -65,20 +65,20 @@ class RayCluster:
         jobs: Sequence[Job],
         on_report: Listener = ignore,
     ) -> Iterator[Any]:
-        """Yield what each job returned, in the order in which they end.
+        """Yield the return value of each job, in the order in which they end.
 
         Args:
-            function: Function that every job calls; it belongs to a module.
+            function: Function that every job calls, at the top level of a module.
             jobs: Arguments of each call.
-            on_report: Called with all reports of a job when that has ended.
+            on_report: Called with all reports of a job when the job has ended.
 
         Raises:
-            WorkerError: Machines of the cluster keep dying.
+            WorkerError: Machines of the cluster fail repeatedly.
             LemmaError: The error that a job raised.
         """
-        # A machine that dies takes along its jobs; others do them again.
+        # Jobs of a failed machine are repeated on other machines.
         remote = self._ray.remote(max_retries=MOST_DEATHS)(_work_for_another)
-        # Workers of a cluster have neither our environment nor our path.
+        # Workers of a cluster do not inherit the environment and sys.path.
         here = (load_plugins(), tuple(sys.path))
         most = _AHEAD * self.workers
         waiting = iter(jobs)
@@ -98,13 +98,13 @@ class RayCluster:
         try:
             results: list[tuple[list[Any], Any]] = self._ray.get(done)
         except self._ray.exceptions.RayTaskError as error:
-            # The cause alone: the message of the wrapper is a traceback.
+            # Raise the cause, because the message of Ray's wrapper is a traceback.
             raise error.cause from error
         except self._ray.exceptions.RayError as error:
             raise WorkerError(
-                f"The Ray cluster lost a job {MOST_DEATHS} times, or itself: "
-                f"{_first_line(error)}. Finished work is kept: look after the "
-                "cluster ('ray status') and run the same command again."
+                f"The Ray cluster lost a job {MOST_DEATHS} times, or failed: "
+                f"{_first_line(error)}. Finished work is kept: check the cluster "
+                "('ray status') and run the same command again."
             ) from error
         return results
 
@@ -114,10 +114,10 @@ def _work_for_another(
     function: Callable[..., Any],
     *job: Any,
 ) -> tuple[list[Any], Any]:
-    """Return what a job reported, and what it returned.
+    """Run a job; return its reports and its return value.
 
     Args:
-        there: Plugins of the process that asks, and where it looks for modules.
+        there: Plugins and ``sys.path`` of the calling process.
         function: Function to call.
         *job: Its arguments.
     """
@@ -132,10 +132,10 @@ def _work_for_another(
 
 
 def _check_reachable(address: str) -> None:
-    """Check that somebody listens at an address; Ray alone would try for minutes.
+    """Check that a server listens at an address, because Ray would retry for minutes.
 
     Raises:
-        OSError: Nobody does.
+        OSError: No server listens there.
     """
     if address == "auto":
         address = os.environ.get("RAY_ADDRESS", address)

@@ -1,4 +1,4 @@
-"""How many processors and how much memory this process has."""
+"""Cores and memory of this process."""
 
 import math
 import os
@@ -10,10 +10,10 @@ CONTROL_GROUPS = Path("/sys/fs/cgroup")
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may keep busy.
+    """Return the number of cores that this process may use.
 
-    The scheduler's affinity limits it, and so does a quota of processor time, as
-    ``docker --cpus`` and limits of Kubernetes set it; parts of a core count as one.
+    It is limited by the scheduler's affinity, and by a quota of processor time such as
+    that of ``docker --cpus`` or Kubernetes, which is rounded up.
     """
     if hasattr(os, "sched_getaffinity"):
         cores = len(os.sched_getaffinity(0))
@@ -23,7 +23,7 @@ def usable_cores() -> int:
 
 
 def _quota() -> float:
-    """Return how many cores' time the control groups of this process may use."""
+    """Return the quota of this process's control groups, in cores."""
     try:
         lines = (PROCESS / "cgroup").read_text("utf-8").splitlines()
     except (OSError, ValueError):
@@ -32,7 +32,7 @@ def _quota() -> float:
     for line in lines:
         _, controllers, path = line.split(":", 2)
         group = PurePosixPath(path)
-        # In a container, folders of the host are missing: each parent is looked at.
+        # In a container, folders of the host are missing, so check each parent.
         for folder in (group, *group.parents):
             below = str(folder).lstrip("/")
             if controllers == "":
@@ -43,7 +43,7 @@ def _quota() -> float:
 
 
 def _unified(folder: Path) -> float:
-    """Return the quota of a group of version 2."""
+    """Return the quota of a control group of version 2, in cores."""
     try:
         quota, period = (folder / "cpu.max").read_text("utf-8").split()
         return math.inf if quota == "max" else int(quota) / int(period)
@@ -52,7 +52,7 @@ def _unified(folder: Path) -> float:
 
 
 def _legacy(folder: Path) -> float:
-    """Return the quota of a group of version 1."""
+    """Return the quota of a control group of version 1, in cores."""
     try:
         quota = int((folder / "cpu.cfs_quota_us").read_text("utf-8"))
         period = int((folder / "cpu.cfs_period_us").read_text("utf-8"))
@@ -62,14 +62,14 @@ def _legacy(folder: Path) -> float:
 
 
 def peak_memory_mb() -> float:
-    """Return the most memory that this process ever held [MB]."""
+    """Return the peak memory of this process [MB]."""
     try:
-        # Unlike getrusage, this does not count the process that started this one.
+        # Unlike getrusage, this excludes the memory of the parent before the fork.
         status = (PROCESS / "status").read_text("utf-8")
         return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
     except (OSError, IndexError, ValueError):
         import resource  # noqa: PLC0415 - not on every system
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        # Bytes on macOS, kilobytes elsewhere.
+        # The unit is bytes on macOS, kilobytes elsewhere.
         return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6

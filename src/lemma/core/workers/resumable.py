@@ -1,9 +1,9 @@
-"""Jobs that the same command continues after they were stopped.
+"""Jobs that the same command resumes after they were stopped.
 
-A job writes into a folder. Its record, the settings and versions that decide what is
-written, lies in the folder too: a job with another record is refused. The parts of a
-job are written whole or not at all, so a part that exists is done. One process at a
-time writes, see :func:`lemma.core.files.only_writer`.
+A job writes to a folder. The folder also has the job's record, the settings and
+versions that determine the output; a job with another record is refused. Parts of a job
+are written atomically, so a part that exists is complete. One process at a time writes,
+see :func:`lemma.core.files.only_writer`.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -16,15 +16,15 @@ from lemma.core.files import read_json, write_json
 from lemma.core.workers.pool import Engine, Job, Listener, ignore, numbered
 
 PARTS = ".parts"
-"""Folder, in that of a job, of parts that become larger files when all are there."""
+"""Subfolder for parts that are merged into larger files when all are complete."""
 RECORD = f"{PARTS}/about.json"
-"""Where the record of a job is that deletes it at its end."""
+"""Path of the record in jobs that delete it at their end."""
 MAY_DIFFER = ("revision", "versions.revision")
-"""Entries of a record that say where a job ran, and decide nothing."""
+"""Entries of a record that do not affect the output."""
 NEW_FOLDER = "Choose a new folder, or delete this one."
 
 _NAMED = 5
-"""Differences that a message names."""
+"""Largest number of differences in a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class Part:
     """A part of a job."""
 
     arguments: Job
-    """Arguments of the function that does it."""
+    """Arguments of the function that writes it."""
     size: int
-    """How many episodes it counts for."""
+    """Number of its episodes, for progress."""
     is_done: bool
 
 
@@ -45,14 +45,14 @@ def do_missing(
     advance: Callable[[int], None],
     on_report: Listener = ignore,
 ) -> Iterator[tuple[Part, Any]]:
-    """Do the parts that are not done, and yield each with what was returned for it.
+    """Write the missing parts of a job; yield each with its return value.
 
     Args:
         parts: All parts of the job.
-        function: Function that does a part; it belongs to a module.
+        function: Function that writes a part, at the top level of a module.
         engine: Workers that run the jobs.
-        advance: Called at once with the number of episodes that are done already.
-        on_report: Called with each report of a part before that ends.
+        advance: Called first, with the number of episodes that are complete already.
+        on_report: Called with each report of a part before the part has ended.
     """
     advance(sum(part.size for part in parts if part.is_done))
     missing = [part for part in parts if not part.is_done]
@@ -62,17 +62,18 @@ def do_missing(
 
 
 def begin(folder: Path, name: str, record: Mapping[str, Any]) -> None:
-    """Write the record of a job, or check that the job of this record is continued.
+    """Write the record of a job, or check that it is equal to the existing one.
 
-    A job that was stopped before its first part was done may be begun otherwise.
+    If the folder has no complete part yet, another record replaces the existing one.
 
     Args:
-        folder: Of the job.
-        name: Of the file with the record, relative to the folder.
+        folder: Folder of the job.
+        name: File of the record, relative to the folder.
         record: Settings and versions.
 
     Raises:
-        DatasetError: Another job was begun there, or the record cannot be written.
+        DatasetError: The folder belongs to another job, or the record cannot be
+            written.
     """
     path = folder / name
     found = read_json(path) if path.exists() else None
@@ -83,13 +84,13 @@ def begin(folder: Path, name: str, record: Mapping[str, Any]) -> None:
 
 
 def has_parts(folder: Path, name: str) -> bool:
-    """Return whether the folder of a job holds more than its record.
+    """Return whether the folder of a job contains more than its record.
 
     Empty files, such as locks, do not count.
 
     Args:
-        folder: Of the job.
-        name: Of the file with the record, relative to the folder.
+        folder: Folder of the job.
+        name: File of the record, relative to the folder.
     """
     return any(
         file != folder / name and file.is_file() and file.stat().st_size > 0
@@ -105,17 +106,17 @@ def check_same_job(
     may_differ: Collection[str] = MAY_DIFFER,
     advice: str = NEW_FOLDER,
 ) -> None:
-    """Check that what is there was written by the job that would write it now.
+    """Check that existing output belongs to the present job.
 
     Args:
-        place: A file or a folder.
-        found: The record that it holds.
-        record: The record of the job that is asked for.
+        place: The file or folder of the output.
+        found: The record in the output.
+        record: The record of the present job.
         may_differ: Dotted names of entries that are not compared.
-        advice: A sentence that says what to do.
+        advice: A sentence of advice for the message.
 
     Raises:
-        DatasetError: The records differ, and in what.
+        DatasetError: The records differ; the message lists the differences.
     """
     differing = differences(found, record, may_differ)
     if differing:
@@ -129,11 +130,11 @@ def differences(
     record: Mapping[str, Any],
     may_differ: Collection[str] = MAY_DIFFER,
 ) -> list[str]:
-    """Return in words what differs between two records.
+    """Return descriptions of the differences between two records.
 
     Args:
-        found: The earlier one.
-        record: The later one.
+        found: The earlier record.
+        record: The later record.
         may_differ: Dotted names of entries that are not compared.
     """
     before, now = dict(flat(found)), dict(flat(record))
@@ -145,7 +146,7 @@ def differences(
 
 
 def flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted names and the values of a nested record, lists as JSON has."""
+    """Yield dotted names and values of a nested record; tuples become lists."""
     for name, value in record.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{name}.")

@@ -298,4 +298,3 @@ def _same_data(one: Result, other: Result) -> bool:
         if key and data.get(key) != same.get(key):
             return False
     return True
-

@@ -1,1 +1,1 @@
-"""RMPflow: the workspace, its leaves, and the policy that resolves them."""
+"""RMPflow: its workspace, its leaves, and the motion policy that combines them."""

@@ -9,12 +9,12 @@ from lemma.core.poses import FloatArray
 from lemma.motion.rmpflow import leaves
 
 TABLE_RANGE_M = 0.10
-"""Distance from which on the table is ignored."""
+"""Distance beyond which the table is ignored."""
 OWN_BASE_RANGE_M = 0.06
-"""Distance from which on the arm's own base is ignored."""
+"""Distance beyond which the arm's own base is ignored."""
 _FIRST_WRIST_LINK = 4
 _ROUNDING_M = 1e-9
-"""More than what is lost by rounding."""
+"""Upper bound of rounding errors."""
 
 
 @kernel
@@ -25,15 +25,16 @@ def add_collision_leaves(
     obstacles: FloatArray,
     memory: tuple[FloatArray, FloatArray],
 ) -> None:
-    """Add to the root what every sphere wants that is near something.
+    """Add to the root the collision leaves of all spheres that are near an obstacle.
 
     Args:
-        root: The record of a :class:`~lemma.motion.rmpflow.workspace.Workspace`, link
-            frames up to date.
-        spheres: Centre, radius, link, whether it meets the table: (n, 6) [m].
+        root: The record of a :class:`~lemma.motion.rmpflow.workspace.Workspace`, with
+            up-to-date link frames.
+        spheres: Centre [m], radius [m], link frame, 1 if the table is an obstacle:
+            (n, 6).
         qd: Joint velocities, (6,) [rad/s].
-        obstacles: Capsules and the range in which they are felt, (m, 8) [m].
-        memory: Value of :func:`collision_memory` for spheres and obstacles.
+        obstacles: Both ends, radius and range of capsules, (m, 8) [m].
+        memory: Result of :func:`collision_memory` for spheres and obstacles.
     """
     centres, balls = memory
     near = _find_near(root, spheres, centres, balls)
@@ -68,12 +69,16 @@ def add_collision_leaves(
 def collision_memory(
     spheres: FloatArray, obstacles: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return memory for :func:`add_collision_leaves`.
+    """Return scratch memory for :func:`add_collision_leaves`.
+
+    Args:
+        spheres: As there, (n, 6).
+        obstacles: As there, (m, 8) [m].
 
     Returns:
-        For centres of spheres in the world, (n, 3), and balls outside of which
-        obstacles are not felt: middle, radius [m], and room for the number of an
-        obstacle that is near, (m, 5).
+        Memory for the centres of spheres in the world, (n, 3) [m], and bounding balls
+        of the obstacles with their ranges, (m, 5): centre [m], radius [m], and memory
+        for the index of a near obstacle.
     """
     balls = np.empty((obstacles.shape[0], 5))
     for o in range(obstacles.shape[0]):
@@ -90,10 +95,10 @@ def collision_memory(
 def _find_near(
     root: np.record, spheres: FloatArray, centres: FloatArray, balls: FloatArray
 ) -> int:
-    """Place the spheres; note the obstacles that are near the box around all of them.
+    """Compute the spheres' centres, and the obstacles that are near their bounding box.
 
     Returns:
-        How many there are; their numbers are written to the last column of ``balls``.
+        The number of near obstacles; their indices are in the last column of ``balls``.
     """
     low, high = root.low, root.high
     low[:], high[:] = math.inf, -math.inf
@@ -121,11 +126,11 @@ def _find_near(
 def capsule_distance(
     capsules: FloatArray, o: int, point: tuple[float, float, float]
 ) -> tuple[float, tuple[float, float, float]]:
-    """Return how far a point is from a capsule [m], and the direction away from it.
+    """Return a point's distance from a capsule [m], and the direction away from it.
 
     Args:
-        capsules: Ends and radius, (n, 7+) [m].
-        o: A row of them. A view of the row would take longer than the rest.
+        capsules: Both ends and radius, (n, 7+) [m].
+        o: Index of the capsule. Creating a view of its row would dominate the time.
         point: The point [m].
     """
     ax, ay, az = capsules[o, 0], capsules[o, 1], capsules[o, 2]
@@ -152,8 +157,8 @@ def _add_one(
 ) -> None:
     """Add the leaf of one sphere and one obstacle.
 
-    Its task space is the distance, whose Jacobian is the direction away from the
-    obstacle times that of the sphere's centre.
+    Its task space is the distance. The Jacobian of the distance is the direction away
+    from the obstacle times the Jacobian of the sphere's centre.
     """
     row = root.row
     rate = 0.0

@@ -2,8 +2,8 @@
 
 Each leaf is a second-order policy in its own task space: a desired acceleration and a
 metric that weighs it against the other leaves (Ratliff et al., *Riemannian Motion
-Policies*, 2018; Cheng et al., *RMPflow*, 2018). The formulas are those that NVIDIA
-publishes for Lula, with its UR10 parameters where it gives them.
+Policies*, 2018; Cheng et al., *RMPflow*, 2018). The formulas are those of NVIDIA's
+Lula, with NVIDIA's published parameters for the UR10 where there are any.
 """
 
 import math
@@ -14,23 +14,23 @@ from lemma.core.poses import FloatArray
 
 
 class TargetLeaf(NamedTuple):
-    """Draws the tool centre point to a position."""
+    """Attracts the tool centre point to a position."""
 
     gain: float = 110.0
     damping: float = 120.0
     epsilon_m: float = 0.075
-    """Below this distance the pull fades linearly."""
+    """Below this distance the attraction decreases linearly."""
     near_sigma_m: float = 0.05
     near_floor: float = 0.01
     near_metric: float = 10000.0
     far_metric: float = 2500.0
     boost: float = 20.0
-    """How much more the leaf weighs at the target."""
+    """Factor of the metric at the target, relative to far away."""
     boost_sigma_m: float = 0.02
 
 
 class AxisLeaf(NamedTuple):
-    """Turns an axis of the gripper into a direction."""
+    """Aligns an axis of the gripper with a direction."""
 
     gain: float = 200.0
     damping: float = 40.0
@@ -40,7 +40,7 @@ class AxisLeaf(NamedTuple):
 
 
 class PostureLeaf(NamedTuple):
-    """Draws the joints to a posture: picks one of the arm's many ways to reach."""
+    """Attracts the joints to a posture, which selects one of the kinematic branches."""
 
     gain: float = 200.0
     damping: float = 50.0
@@ -64,10 +64,10 @@ class JointLimitLeaf(NamedTuple):
 
 
 class VelocityCapLeaf(NamedTuple):
-    """Brakes a joint that comes near its velocity limit."""
+    """Brakes a joint close to its velocity limit."""
 
     limit_fraction: float = 0.95
-    """Of the motor's limit, so that the servo's overshoot stays below it."""
+    """Fraction of the motor's limit; the rest is for the servo's overshoot."""
     region_rad_s: float = 0.5
     damping: float = 300.0
     metric: float = 100.0
@@ -76,8 +76,8 @@ class VelocityCapLeaf(NamedTuple):
 class CollisionLeaf(NamedTuple):
     """Keeps a point of the arm away from an obstacle.
 
-    The metric is that of NVIDIA's Franka. With the UR10's, 500, an arm that brakes no
-    harder than its motors can runs up to 2 cm into what it meets at full speed.
+    The metric is that of NVIDIA's Franka parameters. With 500, that of the UR10, and
+    realistic motor limits, an arm at full speed runs up to 2 cm into an obstacle.
     """
 
     gain: float = 1000.0
@@ -92,7 +92,7 @@ class CollisionLeaf(NamedTuple):
 
 
 class DampingLeaf(NamedTuple):
-    """Takes energy out of fast motion."""
+    """Damps fast motion."""
 
     damping: float = 30.0
     metric: float = 50.0
@@ -133,7 +133,7 @@ def target(
     Args:
         leaf: Parameters.
         error: Target minus position, (3,) [m].
-        velocity: (3,) [m/s].
+        velocity: Of the tool centre point, (3,) [m/s].
         acceleration: Written, (3,) [m/s2].
         metric: Written, (3, 3).
 
@@ -169,21 +169,21 @@ def axes(
 ) -> float:
     """Evaluate the axis leaves of all three axes of a frame, as one.
 
-    Each axis n is to become m: ``ndd = gain (m - n) - damping nd``, weighed by a
-    scalar. Pulled back to rotations by ``nd = omega x n`` and added up, the three of an
-    orthonormal frame are one angular acceleration, ``gain / 2 sum n x m - damping
-    omega``, weighed by twice that scalar.
+    Each axis n is aligned with m by ``ndd = gain (m - n) - damping nd``, with a scalar
+    metric. Pulled back to rotations by ``nd = omega x n``, the sum over an orthonormal
+    frame is one angular acceleration, ``gain / 2 sum n x m - damping omega``, with
+    twice that metric.
 
     Args:
         leaf: Parameters.
         rotation: Present axes in columns, (3, 3) or a transform (4, 4).
         goal: Axes to turn to, (3, 3).
         omega: Angular velocity, (3,) [rad/s].
-        distance: Of the tool centre point from its target [m].
+        distance: Distance of the tool centre point from its target [m].
         acceleration: Written: angular acceleration, (3,) [rad/s2].
 
     Returns:
-        The metric, a multiple of the identity.
+        The metric, as a factor of the identity matrix.
     """
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -197,7 +197,13 @@ def axes(
 
 @kernel
 def boost(factor: float, sigma_m: float, distance: float) -> float:
-    """Return a weight that grows from 1 far away to ``factor`` at the target."""
+    """Return a factor that grows from 1 far away to ``factor`` at the target.
+
+    Args:
+        factor: Value at the target.
+        sigma_m: Length scale of the growth [m].
+        distance: Distance from the target [m].
+    """
     beta = math.exp(-0.5 * (distance / sigma_m) ** 2)
     return beta * factor + (1.0 - beta)
 
@@ -210,11 +216,11 @@ def joint_limit(
 
     Args:
         leaf: Parameters.
-        distance: To the limit, as a fraction of the range; positive inside.
-        velocity: Its rate [1/s]; negative towards the limit.
+        distance: Distance to the limit, as a fraction of the range; positive inside.
+        velocity: Rate of the distance [1/s]; negative towards the limit.
 
     Returns:
-        Acceleration away from the limit, and metric.
+        Acceleration away from the limit [1/s2], and metric.
     """
     x = max(distance, 0.0)
     acceleration = (
@@ -231,15 +237,15 @@ def joint_limit(
 def velocity_cap(
     leaf: VelocityCapLeaf, velocity: float, limit: float
 ) -> tuple[float, float]:
-    """Evaluate the brake of one joint.
+    """Evaluate the velocity cap of one joint.
 
     Args:
         leaf: Parameters.
-        velocity: [rad/s].
+        velocity: Velocity of the joint [rad/s].
         limit: The joint's velocity limit [rad/s].
 
     Returns:
-        Acceleration and metric; both zero while the joint is slow enough.
+        Acceleration [rad/s2] and metric; both are zero at lower velocities.
     """
     excess = abs(velocity) - (limit * leaf.limit_fraction - leaf.region_rad_s)
     if excess <= 0.0:
@@ -257,12 +263,12 @@ def collision(
 
     Args:
         leaf: Parameters.
-        distance: Between the surfaces [m].
-        velocity: Its rate [m/s]; negative when closing.
-        radius: Distance [m] from which on the obstacle is ignored.
+        distance: Distance between the surfaces [m].
+        velocity: Rate of the distance [m/s]; negative when approaching.
+        radius: Distance beyond which the obstacle is ignored [m].
 
     Returns:
-        Acceleration away from the obstacle, and metric.
+        Acceleration away from the obstacle [m/s2], and metric.
     """
     if distance >= radius:
         return 0.0, 0.0

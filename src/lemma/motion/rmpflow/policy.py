@@ -1,8 +1,8 @@
-"""RMPflow: the leaves, pulled back to the joints and resolved into one acceleration.
+"""RMPflow: pulls the leaves back to the joints and computes one acceleration.
 
 ``qdd = (sum J^T M J)^-1 sum J^T M (xdd - Jdot qd)``, capped and integrated in substeps.
-The result is a smooth joint reference for the servos; nothing here reads the clock, the
-simulator or a random number.
+The result is a smooth joint reference for the servos. It depends on the arguments
+alone: there is no clock, no simulator and no random number.
 
 The kernels read and write one flat record, see
 :class:`~lemma.motion.rmpflow.workspace.Workspace`.
@@ -30,12 +30,19 @@ def integrate(
     step_s: float,
     substeps: int,
 ) -> None:
-    """Advance the joint reference ``state``, (2, 6), by ``substeps`` of ``step_s``.
+    """Advance the joint reference by semi-implicit Euler.
 
-    Semi-implicit Euler. Where the leaves have not already seen to it, velocities are
-    clipped to the motors' limits, and to what can be braked before a joint's end.
-    Record and spheres are those of a loaded workspace; obstacles are capsules (ax, ay,
-    az, bx, by, bz, radius, range), (n, 8) [m], which beyond ``range`` are not felt.
+    As a safeguard beside the leaves, velocities are clipped to the motors' limits, and
+    to values from which a joint can brake before its limit.
+
+    Args:
+        record: The record of a loaded workspace.
+        spheres: Its spheres, (m, 6).
+        state: Joint angles [rad] and velocities [rad/s], (2, 6); written.
+        obstacles: Capsules (ax, ay, az, bx, by, bz, radius, range), (n, 8) [m]; beyond
+            its range an obstacle is ignored.
+        step_s: Length of a substep [s].
+        substeps: Number of substeps.
     """
     root = record[0]
     acceleration, memory = root.acceleration, collision_memory(spheres, obstacles)
@@ -65,7 +72,16 @@ def accelerate(
     memory: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
-    """Write the joint accelerations that all leaves agree on to ``out``, (6,)."""
+    """Write the joint accelerations that combine all leaves to ``out``, (6,) [rad/s2].
+
+    Args:
+        root: The record of a loaded workspace.
+        spheres: Its spheres, (m, 6).
+        state: Joint angles [rad] and velocities [rad/s], (2, 6).
+        obstacles: As in :func:`integrate`, (n, 8) [m].
+        memory: Result of :func:`~.collision.collision_memory` for the obstacles.
+        out: Written.
+    """
     q, qd = state[0], state[1]
     root.metric[:] = 0.0
     root.force[:] = 0.0
@@ -88,13 +104,13 @@ def accelerate(
 
 @kernel
 def update_motion(root: np.record, q: FloatArray, qd: FloatArray) -> None:
-    """Compute link frames, and their motion if no joint accelerated (for Jdot qd)."""
+    """Compute link frames and their motion at zero joint acceleration (for Jdot qd)."""
     frames(root.dh, root.world_from_base, q, root.frames)
     f, w, wd, acc = root.frames, root.omega, root.omega_dot, root.origin_acceleration
     for i in range(6):
         zx, zy, zz = f[i, 0, 2], f[i, 1, 2], f[i, 2, 2]
         rate = qd[i]
-        # Spinning about an axis that itself turns: wd += w x (z qd).
+        # A joint axis that rotates itself adds wd += w x (z qd).
         wd[i + 1, 0] = wd[i, 0] + rate * (w[i, 1] * zz - w[i, 2] * zy)
         wd[i + 1, 1] = wd[i, 1] + rate * (w[i, 2] * zx - w[i, 0] * zz)
         wd[i + 1, 2] = wd[i, 2] + rate * (w[i, 0] * zy - w[i, 1] * zx)
@@ -111,14 +127,14 @@ def update_motion(root: np.record, q: FloatArray, qd: FloatArray) -> None:
 
 @kernel
 def point_drift(root: np.record, link: int, rx: float, ry: float, rz: float) -> Triple:
-    """Return wd x r + w x (w x r): the acceleration at one end of r, less the other's.
+    """Return the relative acceleration of the ends of r: wd x r + w x (w x r) [m/s2].
 
     Args:
-        root: The record, motion of the links up to date.
-        link: The link that r is fixed to.
-        rx: From one point of the link to another, in the world frame [m].
-        ry: The same.
-        rz: The same.
+        root: The record, with up-to-date motion of the links.
+        link: Index of the link that r is fixed to.
+        rx: World x of the vector r between two points of the link [m].
+        ry: World y [m].
+        rz: World z [m].
     """
     wx, wy, wz = root.omega[link, 0], root.omega[link, 1], root.omega[link, 2]
     wd = root.omega_dot[link]
@@ -149,7 +165,7 @@ def _pull_back(root: np.record) -> None:
 
 @kernel
 def _add_target_leaf(root: np.record, qd: FloatArray) -> float:
-    """Draw the tool centre point to the goal; return its distance [m]."""
+    """Add the target leaf; return the distance to the target [m]."""
     f, goal, offset = root.frames[6], root.goal, root.tcp_offset_m
     point, error, velocity = root.point, root.error, root.velocity
     for i in range(3):
@@ -175,7 +191,7 @@ def _add_target_leaf(root: np.record, qd: FloatArray) -> float:
 
 @kernel
 def _add_axis_leaf(root: np.record, distance: float) -> None:
-    """Turn the gripper's axes to those of the goal."""
+    """Add the axis leaves of the gripper."""
     metric = leaves.axes(
         root.leaves.axis,
         root.frames[6],
@@ -189,7 +205,7 @@ def _add_axis_leaf(root: np.record, distance: float) -> None:
         for j in range(3):
             root.weight[i, j] = root.goal.target_weight * metric if i == j else 0.0
         for j in range(6):
-            # The angular velocity of the gripper: every joint turns it about its axis.
+            # Each joint turns the gripper about the joint's axis.
             root.jacobian[i, j] = root.frames[j, i, 2]
     _pull_back(root)
 
@@ -227,7 +243,7 @@ def _add_joint_limits(root: np.record, q: FloatArray, qd: FloatArray) -> None:
             edge = root.lower[i] if side == 0 else root.upper[i]
             x = (sign * (q[i] - edge) - limit.buffer_rad) / span
             acceleration, metric = leaves.joint_limit(limit, x, sign * qd[i] / span)
-            # The leaf lives on the normalised distance: dx/dq = sign / span.
+            # Its task space is the normalised distance: dx/dq = sign / span.
             root.metric[i, i] += metric / (span * span)
             root.force[i] += sign * metric * acceleration / span
 
@@ -237,7 +253,7 @@ def solve(metric: FloatArray, force: FloatArray, out: FloatArray) -> None:
     """Solve a 6 x 6 positive definite system by Cholesky.
 
     Args:
-        metric: The lower triangle counts, (6, 6); destroyed.
+        metric: The matrix, (6, 6); only the lower triangle is used, and overwritten.
         force: (6,).
         out: The solution, (6,).
     """

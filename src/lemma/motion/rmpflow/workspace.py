@@ -1,4 +1,4 @@
-"""Memory of RMPflow: an arm, a goal, and one flat record that holds everything."""
+"""Memory of RMPflow: arm, goal and leaves in one flat record."""
 
 from typing import NamedTuple
 
@@ -17,35 +17,35 @@ class ArmModel(NamedTuple):
     world_from_base: FloatArray
     """(4, 4)."""
     tcp_offset_m: float
-    """Tool centre point beyond the flange, along its z axis."""
+    """Distance of the tool centre point beyond the flange, along its z axis."""
     lower: FloatArray
-    """Joint limits, (6,) [rad]."""
+    """Lower joint limits, (6,) [rad]."""
     upper: FloatArray
     velocity_limits: FloatArray
     """(6,) [rad/s]."""
     sphere_links: FloatArray
     """Link frame that each collision sphere is attached to, (n,)."""
     spheres: FloatArray
-    """Centre in that frame and radius, (n, 4) [m]."""
+    """Centre in that frame, then the radius, (n, 4) [m]."""
     sphere_meets_table: FloatArray
     """1 where the table is an obstacle for the sphere, (n,)."""
     base_radius_m: float = 0.0
-    """Radius of the arm's own base, which wrist and gripper keep clear of [m]."""
+    """Radius of the arm's own base, an obstacle for wrist and gripper [m]."""
 
 
 class ArmTarget(NamedTuple):
-    """Where the arm shall go."""
+    """The goal of the arm's motion."""
 
     position: FloatArray
-    """Of the tool centre point, (3,) [m]."""
+    """World position of the tool centre point, (3,) [m]."""
     rotation: FloatArray
-    """Of the gripper, (3, 3)."""
+    """World from gripper, (3, 3)."""
     posture: FloatArray
-    """Joint angles to prefer, (6,) [rad]."""
+    """Preferred joint angles, (6,) [rad]."""
     target_weight: float
-    """1, or 0 to follow the posture alone."""
+    """Weight of position and rotation: 1, or 0 to follow the posture alone."""
     posture_weight: float
-    """1, or more where the posture is all there is to follow."""
+    """Weight of the posture: 1, or more to follow the posture alone."""
 
 
 _GOAL = np.dtype(
@@ -68,7 +68,7 @@ _RECORD = np.dtype(
         # Sum over the leaves; the metric's lower triangle only.
         ("metric", np.float64, (6, 6)),
         ("force", np.float64, 6),
-        # Link frames, and their motion if no joint accelerated.
+        # Link frames, and their motion at zero joint acceleration.
         ("frames", np.float64, (7, 4, 4)),
         ("omega", np.float64, (7, 3)),
         ("omega_dot", np.float64, (7, 3)),
@@ -102,8 +102,8 @@ _RECORD = np.dtype(
 class Workspace:
     """Memory of one arm: inputs of its leaves and their sum.
 
-    It is one flat record because that enters Numba as a single pointer. Named tuples
-    are taken apart at every call, which took longer than RMPflow itself.
+    Numba gets one flat record as a single pointer. It would unpack named tuples at
+    every call, which took longer than RMPflow itself.
     """
 
     def __init__(self) -> None:
@@ -113,7 +113,7 @@ class Workspace:
         """Centre [m], radius [m], link frame, 1 if it meets the table: (n, 6)."""
 
     def load(self, arm: ArmModel, goal: ArmTarget, leaves: Leaves) -> None:
-        """Copy an arm, a goal and the parameters of the leaves."""
+        """Copy an arm, a goal and the parameters of the leaves into the record."""
         row = self.record[0]
         row["leaves"] = leaves
         for name in ("dh", "world_from_base", "lower", "upper", "velocity_limits"):
@@ -127,7 +127,7 @@ class Workspace:
 
     @property
     def goal(self) -> ArmTarget:
-        """The goal in the record, copied."""
+        """A copy of the goal in the record."""
         row = self.record[0]["goal"]
         return ArmTarget(*(row[name].copy() for name in ArmTarget._fields))
 

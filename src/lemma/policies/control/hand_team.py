@@ -19,6 +19,7 @@ from torch import Tensor
 
 from lemma.env.signals.goal_state import NUMBERS
 from lemma.policies.control.hand_steps import (
+    STEP_M,
     Arms,
     HandPolicy,
     advance,
@@ -30,6 +31,7 @@ from lemma.policies.control.hand_steps import (
     pace,
 )
 from lemma.policies.control.interfaces import Actions, ControlInput
+from lemma.scene.objects.entity import kind_of
 
 _OBJECT, _PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
 _HOLDS = NUMBERS.index("holds")
@@ -47,8 +49,10 @@ _LEVEL_M, _ON_M, _AT_M, _HOVER_STEPS = 0.012, 0.01, 0.02, 3
 the table, for so many steps."""
 _DROPPED_M = 0.03
 """The network itself let go of it, so near the place."""
-_ABOVE_M = 0.01
-"""Height above its present rest at which an object is let go on a bare table."""
+_PAD_M = kind_of("red_pad").top_m
+"""Height of a pad, on which hands learned to place."""
+_SPOT_M, _LOWER_STEPS = 0.004, 6
+"""Height above its rest from which an object is let go on a bare table."""
 _OTHER_M = 0.1
 """Nothing moves so far in a step: another conjunct of the goal is the next one."""
 _CELL_M, _HALF_M = 0.02, 1.6
@@ -56,7 +60,7 @@ _CELL_M, _HALF_M = 0.02, 1.6
 _MARGIN_M, _NEAR_WEIGHT = 0.06, 0.02
 """A spot is best so far inside of both reaches; then, on the shortest way."""
 
-_Phase = Literal["choose", "act", "open", "rise", "park"]
+_Phase = Literal["choose", "act", "lower", "open", "rise", "park"]
 Network = Callable[[Tensor], Tensor]
 
 
@@ -98,8 +102,10 @@ class HandTeam:
         k = self.robot
         goal = self._goal[[k]].clone()
         if self._phase == "act":
-            self._towards_spot(goal)
+            self._as_learned(goal)
             self._judge(goal)
+        if self._phase == "lower" and self._steps > _LOWER_STEPS:
+            self._enter("open")
         if self._phase == "open" and self._steps > _OPEN_STEPS:
             self._enter("rise")
         risen = self._here[k, 2] > _RISEN_M or self._steps > _RISE_STEPS
@@ -109,6 +115,9 @@ class HandTeam:
             return self._go_home()
         slow = torch.ones(1, 1)
         row = torch.tensor(_OPEN if self._phase == "open" else _RISE)
+        if self._phase == "lower":
+            way_m = self._rest_m + _SPOT_M - float(self._height_m(goal))
+            row = torch.tensor([[0.0, 0.0, way_m / STEP_M, 0.0, 0.0]])
         if self._phase == "act":
             slow = pace(goal)
             asked = torch.from_numpy(self._rows[[k], 6])
@@ -148,11 +157,12 @@ class HandTeam:
         has, puts = self.margins(self._object), self.margins(self._place)
         direct = torch.minimum(has, puts)
         self.spot = None
-        if direct.max() > 0.0:
+        first, last = int(has.argmax()), int(puts.argmax())
+        if direct.max() > 0.0 or first == last:
             self.robot = int(direct.argmax())
         else:
-            self.robot = int(has.argmax())
-            self.spot = self._spot_towards(int(puts.argmax()))
+            self.robot = first
+            self.spot = self._spot_towards(last)
         k = self.robot
         self._target = self._here.clone()
         self._rows = self._rows.copy()
@@ -199,26 +209,35 @@ class HandTeam:
         """Return how high the object would be grasped now [m]."""
         return float(self._here[self.robot, 2] + goal[0, _OBJECT + 2])
 
-    def _towards_spot(self, goal: Tensor) -> None:
-        """Set the place of the acting robot's goal state, (1, 13), to its spot."""
-        if self.spot is None:
-            return
-        assert self._object is not None
-        way, (x, y) = self.spot - self._object, self._ahead[self.robot]
-        goal[0, _PLACE] = x * way[0] + y * way[1]
-        goal[0, _PLACE + 1] = x * way[1] - y * way[0]
-        goal[0, _PLACE + 2] = self._rest_m + _ABOVE_M - self._height_m(goal)
+    def _as_learned(self, goal: Tensor) -> None:
+        """Set the place of the acting robot's goal state, (1, 13), as in training.
+
+        An empty hand has a pad as its place; over a spot there would be a pad.
+        """
+        holds = goal[0, _HOLDS] > 0.5
+        if self.spot is not None:
+            assert self._object is not None
+            way, (x, y) = self.spot - self._object, self._ahead[self.robot]
+            goal[0, _PLACE] = x * way[0] + y * way[1]
+            goal[0, _PLACE + 1] = x * way[1] - y * way[0]
+            goal[0, _PLACE + 2] = self._rest_m + _PAD_M - self._height_m(goal)
+        if not holds and not self._held:
+            goal[0, _PLACE + 2] = _PAD_M
 
     def _judge(self, goal: Tensor) -> None:
         """Let go of an object that is where it shall be; give up after a while."""
         holds = bool(goal[0, _HOLDS] > 0.5)
         beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
-        level = abs(float(goal[0, _PLACE + 2])) < _LEVEL_M
+        above = -float(goal[0, _PLACE + 2])
+        # No pad is at the spot, so a hand may press farther down there.
+        level = above < _LEVEL_M and (self.spot is not None or above > -_LEVEL_M)
         near = beside < (_ON_M if self.spot is None else _AT_M) and level
         self._hovered = self._hovered + 1 if holds and near else 0
         dropped = self._held and not holds and beside < _DROPPED_M and level
         self._held |= holds
-        if dropped or self._hovered > _HOVER_STEPS or self._steps > _ACT_STEPS:
+        if self._hovered > _HOVER_STEPS and self.spot is not None:
+            self._enter("lower")
+        elif dropped or self._hovered > _HOVER_STEPS or self._steps > _ACT_STEPS:
             self._enter("open")
 
     def _go_home(self) -> NDArray[np.float32]:

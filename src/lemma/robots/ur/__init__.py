@@ -1,1 +1,1 @@
-"""The UR arms: numbers, kinematics, meshes."""
+"""The UR arms: dimensions, kinematics, meshes."""

@@ -1,12 +1,12 @@
-"""The arms of the UR family: one record of numbers each.
+"""Parameters of the arms of the UR family.
 
-Lengths are the maker's, and so are masses and limits, from Universal Robots' own
-description for ROS 2, https://github.com/UniversalRobots/Universal_Robots_ROS2_Description,
-in the folder ``config`` of each arm: ``physical_parameters.yaml`` (commit 3426d67) for
-masses, ``joint_limits.yaml`` (commit 8ef39b3) for the rest. The latter quotes the user
-manuals of UR5 and UR10 (CB3, version 3.13) for speeds, and the maker's article "Max.
-joint torques" of June 2020. Inertias are those of solid cylinders of these masses.
-Radii are measured off pictures; servo gains are ours.
+Lengths, masses and limits are those of Universal Robots' description for ROS 2,
+https://github.com/UniversalRobots/Universal_Robots_ROS2_Description, in the folder
+``config`` of each arm: masses from ``physical_parameters.yaml`` (commit 3426d67),
+limits from ``joint_limits.yaml`` (commit 8ef39b3). The latter cites the user manuals of
+UR5 and UR10 (CB3, version 3.13) for speeds, and Universal Robots' article "Max. joint
+torques" of June 2020 for torques. Inertias are those of solid cylinders of these
+masses. Radii are measured on pictures. Servo gains are chosen for this simulation.
 """
 
 import math
@@ -25,17 +25,22 @@ _THIRD_OF_A_TURN = 2.0 * math.pi / 3.0
 Six = tuple[float, float, float, float, float, float]
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-"""The joints, from the base to the flange."""
+"""Names of the joints, from the base to the flange."""
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-"""The links that they move."""
+"""Names of the links; joint i moves link i."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArmSpec:
-    """The numbers that make one arm of the family."""
+    """Parameters of one arm.
+
+    Raises:
+        InvalidConfigError: The name is no lower-case word, or a parameter has the wrong
+            number of values, is not finite, or is negative where it must not be.
+    """
 
     name: str
-    """Name in the registry, a lower-case word: ``"ur16e"``."""
+    """Name in the registry, a lower-case word such as ``"ur16e"``."""
     d1: float
     """Height of the shoulder above the base [m]."""
     a2: float
@@ -51,7 +56,8 @@ class ArmSpec:
     shoulder_offset: float
     """Offset of the upper arm's tube along the shoulder axis [m]."""
     elbow_offset: float
-    """Offset from there to the forearm's tube; negative: back again [m]."""
+    """Offset from the upper arm's tube to the forearm's tube [m]; negative is towards
+    the base."""
     link_masses: Six
     """Masses, shoulder to wrist 3 [kg]."""
     effort_limits: Six
@@ -73,17 +79,17 @@ class ArmSpec:
     stiffness: Six
     """Servo gains on position [N m/rad]."""
     lag_s: float
-    """Gain on velocity over gain on position: how far, in time, a moving arm trails.
+    """Lag of the servos behind a moving reference: velocity gain over position gain.
 
-    One figure for all joints, so that trailing leaves the shape of a path alone.
+    It is the same for all joints, so that the lag does not change the shape of a path.
     """
     armature: Six
-    """Inertias of the rotors, seen through the gears [kg m2]."""
+    """Reflected inertias of the rotors [kg m2]."""
     joint_range: Six = (math.tau, math.tau, math.pi, math.tau, math.tau, math.tau)
     """Joint limits, symmetric about zero [rad]."""
 
     def __post_init__(self) -> None:
-        """Check that every number is there and can be one of an arm's."""
+        """Check all parameters."""
         if not re.fullmatch(r"[a-z][a-z0-9_]*", str(self.name)):
             raise InvalidConfigError(
                 f"{self.name!r} cannot name an arm. Use a lower-case word: 'ur16e'."

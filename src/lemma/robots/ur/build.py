@@ -1,14 +1,15 @@
-"""The UR family as bodies: one builder for every arm, from its numbers.
+"""MuJoCo bodies of the UR family, built from the parameters of an arm.
 
 Frames follow the maker's (standard) Denavit-Hartenberg convention,
 ``T_i = RotZ(q_i) TransZ(d_i) TransX(a_i) RotX(alpha_i)``. The body that joint i moves
-sits at frame i - 1 and turns about its z axis, so the compiled model *is* the product.
-At joint zero the arm lies along the base's negative x axis, as a real one does.
+is at frame i - 1 and turns about its z axis, so the compiled model computes this
+product. At zero joint angles the arm lies along the base's negative x axis, as on the
+real robot.
 
-The servos' damping is meant to be integrated explicitly (``mjINT_EULER``). An implicit
-integrator scales accelerations down after the contacts have been solved for, and what
-a moving arm holds then slips; explicit damping is stable here because the rotors'
-inertia is at least ``h * damping / 0.9`` at a step of ``h`` = 5 ms.
+Integrate the servos' damping explicitly (``mjINT_EULER``). An implicit integrator
+reduces accelerations after MuJoCo has solved for the contacts, so that objects slip in
+the gripper of a moving arm. Explicit damping is stable here because the rotors' inertia
+is at least ``h * damping / 0.9`` at a time step of ``h`` = 5 ms.
 """
 
 import math
@@ -38,7 +39,7 @@ COLORS: dict[str, Rgba] = {
     "blue": (0.08, 0.24, 0.66, 1.0),
     "green": (0.08, 0.44, 0.18, 1.0),
 }
-"""Paint of the robots."""
+"""Colors of the robots."""
 
 _LID_BLUE: Rgba = (0.45, 0.66, 0.82, 1.0)
 
@@ -49,10 +50,10 @@ def add_arm(
     """Add an arm with its gripper to a scene.
 
     Args:
-        spec: The scene that is being built, with angles in radians.
-        arm: Which arm.
-        prefix: Name of the robot; every name in the scene begins with it.
-        base: Where it stands on the table.
+        spec: The MuJoCo specification of the scene, with angles in radians.
+        arm: Parameters of the arm.
+        prefix: Name of the robot; every name of its parts begins with it.
+        base: World from base.
         color: A name in :data:`COLORS`.
 
     Raises:
@@ -85,7 +86,7 @@ def add_arm(
         d, a, rotation = rows[index]
         position = (a, 0.0, d)
     add_gripper(spec, body, prefix, arm.d6)
-    # Parent and child never collide, except that a fixed base counts as the world.
+    # MuJoCo excludes contacts between parent and child, but not for the fixed base.
     spec.add_exclude(bodyname1=f"{prefix}/base", bodyname2=f"{prefix}/shoulder")
 
 
@@ -133,10 +134,10 @@ def _add_joint(
 
 
 def _solids(arm: ArmSpec) -> dict[str, tuple[Cylinder, ...]]:
-    """Return what collides of each link, in its frame, the heaviest first.
+    """Return the collision solids of each link, in its frame, the heaviest first.
 
-    Two housings that meet at a joint form one round solid about its axis, so one
-    capsule stands for both.
+    Two housings that meet at a joint form one solid of revolution about its axis, so
+    one capsule covers both.
     """
     upper = arm.shoulder_offset
     lower = upper + arm.elbow_offset
@@ -169,7 +170,7 @@ def _add_capsules(body: mujoco.MjsBody, solids: tuple[Cylinder, ...]) -> None:
 def _dress(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, arm: ArmSpec, link: str, color: str
 ) -> None:
-    """Add what is seen of a link; arms of one type share their meshes."""
+    """Add the visible meshes of a link; arms of one type share them."""
     paints = {
         "shell": COLORS[color],
         "dark": DARK,
@@ -181,7 +182,7 @@ def _dress(
 
 
 def _weigh(body: mujoco.MjsBody, mass: float, solid: Cylinder) -> None:
-    """Spread a link's mass over its main solid."""
+    """Set a link's inertia to that of its main solid."""
     across, _, along = cylinder_inertia(mass, solid.radius, solid.length)
     spans = [abs(b - a) for a, b in zip(solid.start, solid.end, strict=True)]
     x, y, z = (along if span == max(spans) else across for span in spans)

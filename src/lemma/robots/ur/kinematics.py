@@ -1,12 +1,13 @@
 """Forward, differential and closed-form inverse kinematics of UR arms.
 
-Standard Denavit-Hartenberg frames, as published by the maker:
+Standard Denavit-Hartenberg frames, as published by Universal Robots:
 ``T_i = RotZ(q_i) TransZ(d_i) TransX(a_i) RotX(alpha_i)`` with
 ``a = (0, -a2, -a3, 0, 0, 0)``, ``d = (d1, 0, 0, d4, d5, d6)`` and
 ``alpha = (pi/2, 0, 0, pi/2, -pi/2, 0)``. Frame 0 is the base, frame 6 the flange.
 
-Every function takes ``dh = (d1, a2, a3, d4, d5, d6)`` [m] and is a Numba kernel with
-explicit loops: no BLAS, whose last bits depend on the CPU.
+The parameter ``dh`` is always ``(d1, a2, a3, d4, d5, d6)`` [m]. All functions are Numba
+kernels with explicit loops, because results of BLAS differ between CPUs in the last
+bits.
 """
 
 import math
@@ -15,9 +16,6 @@ import numpy as np
 
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
-
-ALPHA = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
-"""Link twists [rad]."""
 
 _COS_ALPHA = np.array([0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
 _SIN_ALPHA = np.array([1.0, 0.0, 0.0, 1.0, -1.0, 0.0])
@@ -51,7 +49,14 @@ def invert(a: FloatArray, out: FloatArray) -> None:
 
 @kernel
 def link_transform(dh: FloatArray, index: int, angle: float, out: FloatArray) -> None:
-    """Write the transform from frame ``index`` to the frame before it to ``out``."""
+    """Write frame ``index`` from frame ``index + 1`` to ``out``.
+
+    Args:
+        dh: The arm, (6,) [m].
+        index: Index of the joint, from 0.
+        angle: Joint angle [rad].
+        out: (4, 4) [m].
+    """
     ct, st = math.cos(angle), math.sin(angle)
     ca, sa = _COS_ALPHA[index], _SIN_ALPHA[index]
     a = 0.0
@@ -75,9 +80,9 @@ def frames(dh: FloatArray, base: FloatArray, q: FloatArray, out: FloatArray) -> 
 
     Args:
         dh: The arm, (6,) [m].
-        base: World from base, (4, 4).
+        base: World from base, (4, 4) [m].
         q: Joint angles, (6,) [rad].
-        out: World from link frames 0 to 6, (7, 4, 4).
+        out: World from link frames 0 to 6, (7, 4, 4) [m].
     """
     out[0] = base
     for i in range(6):
@@ -88,7 +93,7 @@ def frames(dh: FloatArray, base: FloatArray, q: FloatArray, out: FloatArray) -> 
 def _place_link(
     dh: FloatArray, index: int, angle: float, before: FloatArray, out: FloatArray
 ) -> None:
-    """Write the product of ``before`` and a link transform, without its zeros."""
+    """Write the product of ``before`` and a link transform; skip the zeros."""
     ct, st = math.cos(angle), math.sin(angle)
     ca, sa = _COS_ALPHA[index], _SIN_ALPHA[index]
     bends = index == 1 or index == 2
@@ -105,7 +110,7 @@ def _place_link(
 
 @kernel
 def forward(dh: FloatArray, q: FloatArray) -> FloatArray:
-    """Return base from flange, (4, 4), at joint angles ``q`` (6,) [rad]."""
+    """Return base from flange, (4, 4) [m], at joint angles ``q`` (6,) [rad]."""
     all_frames: FloatArray = np.empty((7, 4, 4))
     frames(dh, np.eye(4), q, all_frames)
     flange: FloatArray = all_frames[6]
@@ -119,10 +124,11 @@ def point_jacobian(
     """Write the translational Jacobian of a point to ``out``.
 
     Args:
-        all_frames: World from link frames, (7, 4, 4).
-        links: The frame that the point is attached to: joints before it move it.
+        all_frames: World from link frames, (7, 4, 4) [m].
+        links: Index of the frame that the point is attached to, which is also the
+            number of joints that move it.
         point: The point in the world frame, (3,) [m].
-        out: (3, 6), columns of joints that do not move the point are zero.
+        out: (3, 6) [m/rad]; columns of joints that do not move the point are zero.
     """
     for j in range(6):
         if j >= links:
@@ -139,19 +145,19 @@ def point_jacobian(
 
 @kernel
 def inverse(dh: FloatArray, flange: FloatArray) -> FloatArray:
-    """Return every joint vector that puts the flange at a pose.
+    """Return all joint angles that put the flange at a pose, ignoring joint limits.
 
-    The wrist centre gives two shoulder angles, the tool axis two wrist angles, the law
-    of cosines two elbow angles (Hawkins, *Analytic Inverse Kinematics for the Universal
-    Robots*, 2013).
+    The wrist centre gives two shoulder angles, the tool axis two wrist angles, and the
+    law of cosines two elbow angles (Hawkins, *Analytic Inverse Kinematics for the
+    Universal Robots*, 2013).
 
     Args:
         dh: The arm, (6,) [m].
-        flange: Base from flange, (4, 4).
+        flange: Base from flange, (4, 4) [m].
 
     Returns:
-        Joint angles in [-pi, pi), (n, 6) [rad], n in 0 to 8. Where the wrist is
-        singular (its free angle chosen as zero) branches that coincide are repeated.
+        Joint angles in [-pi, pi), (n, 6) [rad], with n from 0 to 8. If the wrist is
+        singular, joint 6 is set to zero and solutions that coincide are repeated.
     """
     solutions = np.empty((8, 6))
     count = 0
@@ -195,18 +201,17 @@ def _add_elbows(
     solutions: FloatArray,
     count: int,
 ) -> int:
-    """Write the two ways to bend the elbow, given joints 1, 5 and 6.
+    """Append the solutions of joints 2 to 4, given joints 1, 5 and 6.
 
     Returns:
-        How many ``solutions`` there are now: two more, or none if the wrist is out of
-        the arm's reach.
+        The new number of solutions: two more, or the same if the wrist is out of reach.
     """
     q1, q5, q6 = known
     a2, a3, d4 = dh[1], dh[2], dh[3]
     link = np.empty((4, 4))
     inverted = np.empty((4, 4))
     product = np.empty((4, 4))
-    # inverse(T1) flange inverse(T5 T6) is what joints 2 to 4 must do.
+    # The product of the transforms of joints 2 to 4: inverse(T1) flange inverse(T5 T6).
     wrist = np.empty((4, 4))
     link_transform(dh, 0, q1, link)
     invert(link, inverted)
@@ -241,13 +246,13 @@ def _add_elbows(
 
 @kernel
 def top_down(x: float, y: float, z: float, yaw: float) -> FloatArray:
-    """Return the pose, (4, 4), of a gripper that points straight down.
+    """Return world from gripper, (4, 4) [m], for a gripper that points straight down.
 
     Args:
-        x: Position [m].
-        y: Position [m].
-        z: Position [m].
-        yaw: Direction of the gripper's x axis; the fingers close along y [rad].
+        x: World x of the tool centre point [m].
+        y: World y [m].
+        z: World z [m].
+        yaw: Direction of the gripper's x axis [rad]; the fingers close along y.
     """
     pose = np.zeros((4, 4))
     c, s = math.cos(yaw), math.sin(yaw)

@@ -1,10 +1,10 @@
-"""How a UR arm looks: joint housings with lids, tubes between them, a flange.
+"""Visible meshes of UR arms: joint housings with lids, tubes between them, a flange.
 
-Each joint is a motor housing, closed by a rounded lid, that meets the next link at a
-dark seam; tubes and the next housing leave it at right angles. Drawn once per arm type
-from the numbers of the arm, as small meshes of rounded solids that are only seen: a
-loft carries a profile along an axis around a circle, or around a rectangle with rounded
-corners. Edges sharper than a crease stay sharp, all others are shaded round.
+Each joint is a motor housing with a rounded lid at one end and a dark seam to the next
+link at the other; tubes and the next housing leave it at right angles. The meshes are
+computed once per arm type from its parameters and do not collide. They consist of
+lofts: a profile along an axis, swept around a circle or around a rectangle with rounded
+corners. Edges sharper than :data:`_CREASE` stay sharp; all others are shaded smooth.
 """
 
 import math
@@ -18,26 +18,27 @@ from lemma.robots.ur.arms import ArmSpec
 Vector = tuple[float, float, float]
 Ring = tuple[float, float]
 
-# Profiles that turn by more than this keep a sharp edge [rad].
+# A profile that turns by more than this angle has a sharp edge [rad].
 _CREASE = math.radians(50.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Loft:
-    """A solid around an axis, open where another solid hides its end."""
+    """A solid around an axis; an end that another solid hides stays open."""
 
     origin: Vector
-    """Where the axis starts, in the frame of the body [m]."""
+    """Start of the axis, in the frame of the body [m]."""
     axis: Vector
-    """Unit vector along one of the body's axes, or against it."""
+    """Unit vector parallel to one of the body's axes, in either direction."""
     profile: tuple[Ring, ...]
     """(height, radius) from the bottom to the top [m]."""
     segments: int = 20
-    """How many sides stand for a circle; a multiple of four."""
+    """Number of sides that approximate a circle; a multiple of four."""
     closed: tuple[bool, bool] = (False, False)
-    """Whether bottom and top can be seen and so need a cap."""
+    """Whether bottom and top have a cap."""
     half_flat: tuple[float, float] = (0.0, 0.0)
-    """Half the straight sides of a rounded rectangle; zero: a circle [m]."""
+    """Half the lengths of the straight sides of a rounded rectangle [m]; zero for a
+    circle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class Surface:
     vertices: tuple[float, ...]
     """x, y, z of each vertex [m]."""
     faces: tuple[int, ...]
-    """Three vertices of each triangle, counter-clockwise from outside."""
+    """Indices of the vertices of each triangle, counter-clockwise from outside."""
 
 
 def mesh(lofts: Iterable[Loft]) -> Surface:
@@ -84,7 +85,7 @@ def _append(loft: Loft, vertices: list[float], faces: list[int]) -> None:
     count = loft.segments
     profile = loft.profile
     directions = [math.atan2(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(profile)]
-    # A cap runs outwards at the bottom, inwards at the top.
+    # Directions of the profile on the caps: outwards at the bottom, inwards at the top.
     directions = [0.0, *directions, math.pi]
     ring = _add_ring(loft, vertices, profile[0])
     if loft.closed[0]:
@@ -127,7 +128,7 @@ def _add_ring(loft: Loft, vertices: list[float], ring: Ring) -> int:
     height, radius = ring
     flat_x, flat_y = loft.half_flat
     for i in range(loft.segments):
-        # Half a step off the axes: each corner gets a quarter of the vertices.
+        # An offset of half a step gives each corner a quarter of the vertices.
         angle = math.tau * (i + 0.5) / loft.segments
         cos, sin = math.cos(angle), math.sin(angle)
         _add_vertex(
@@ -149,9 +150,9 @@ def _add_point(loft: Loft, vertices: list[float], height: float) -> int:
 def _add_vertex(
     loft: Loft, vertices: list[float], x: float, y: float, z: float
 ) -> None:
-    """Add a point given across and along the axis."""
+    """Add a vertex with coordinates across (x, y) and along (z) the axis [m]."""
     ax, ay, az = loft.axis
-    # The next axis of the body, cyclically, and the one after: right-handed.
+    # The two next axes of the body in cyclic order: a right-handed frame.
     across = (az, ax, ay)
     over = (
         ay * across[2] - az * across[1],
@@ -165,23 +166,23 @@ def _add_vertex(
 
 
 LID = 1.1
-"""How far housings reach beyond the axis that crosses them, in radii."""
+"""Length of housings beyond the axis that crosses them, in radii."""
 
 _EDGE = 0.35
 """Radius of the lids' edges, in radii of the housing."""
 _INSET = 0.985
-"""Radius of lids and seams, in the same unit: they lie just inside a shell."""
+"""Radius of lids and seams, in radii of the housing: slightly inside the shell."""
 _SEAM_M = 0.006
 _ORIGIN: Vector = (0, 0, 0)
 _Z: Vector = (0, 0, 1)
 
 Look = dict[str, Surface]
-"""The meshes of one link by what they are made of: shell, dark, lid or metal."""
+"""The meshes of one link by material: ``shell``, ``dark``, ``lid`` or ``metal``."""
 
 
 @lru_cache
 def looks(arm: ArmSpec) -> dict[str, Look]:
-    """Return what is seen of each link, in its frame."""
+    """Return the visible meshes of each link, in its frame."""
     return {
         "base": _base(arm),
         "shoulder": _shoulder(arm),
@@ -215,7 +216,7 @@ def _shoulder(arm: ArmSpec) -> Look:
 
 def _upper_arm(arm: ArmSpec) -> Look:
     side, near, far = arm.shoulder_offset, arm.shoulder_radius, arm.elbow_radius
-    # The elbow's motor turns its lid away from the base, its seam towards the middle.
+    # The lid of the elbow's motor faces away from the base, its seam towards it.
     look = _motor((-arm.a2, 0, side), (0, 0, -1), far, -0.5 * arm.elbow_offset)
     end = rounded(0.5 * side, side + LID * near, near, _EDGE * near)
     look["shell"].append(Loft(_ORIGIN, _Z, end, closed=(False, True)))
@@ -236,7 +237,7 @@ def _forearm(arm: ArmSpec) -> Look:
 def _wrist(
     arm: ArmSpec, height: float, axis: Vector, seam: float, length: float
 ) -> Look:
-    """Return a wrist: a stub from the last seam and a motor across it."""
+    """Return the meshes of a wrist: a stub from the last seam and a motor across it."""
     radius = arm.wrist_radius
     look = _motor((0, 0, height), axis, radius, 0.5 * length)
     look["shell"].append(Loft(_ORIGIN, _Z, ((seam, radius), (height, radius))))
@@ -254,10 +255,10 @@ def _motor(
     """Return a motor housing from its lid to the seam where the next link turns.
 
     Args:
-        centre: Where the housing's axis meets that of its own link [m].
-        axis: From the lid to the seam.
+        centre: Intersection of the axes of the housing and its link [m].
+        axis: Unit vector from the lid to the seam.
         radius: Radius of the housing [m].
-        seam: Where the housing ends, along the axis from the centre [m].
+        seam: Distance of the seam from the centre along the axis [m].
     """
     x, y, z = axis
     split = (LID - 0.45) * radius
@@ -295,7 +296,7 @@ def _base_top(arm: ArmSpec) -> float:
 
 
 def _wrist_seam(arm: ArmSpec) -> float:
-    """Return where forearm and wrist 1 meet along the axis of wrist 1 [m]."""
+    """Return the position of the seam of wrist 1 along its axis [m]."""
     return 0.5 * (arm.shoulder_offset + arm.elbow_offset + arm.d4)
 
 

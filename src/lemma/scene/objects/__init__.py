@@ -1,7 +1,7 @@
-"""Kinds of objects: shapes, and what can be done with them."""
+"""Kinds of objects: shapes and affordances."""
 
-# The kinds are registered in this order, by any order of imports: entities
-# that users add are numbered by it.
+# Import in this order, so that the kinds are always registered in the same order, which
+# defines the numbers of entities.
 from lemma.scene.objects import cube, pad, plank, stick
 
 __all__ = ["cube", "pad", "plank", "stick"]

@@ -1,4 +1,4 @@
-"""Objects as MuJoCo bodies, from the records of their kinds."""
+"""MuJoCo bodies of objects, built from their kinds."""
 
 import math
 
@@ -7,15 +7,16 @@ from lemma.core.poses import Pose2
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import Part
 
-# Two time steps are the shortest time constant without bouncing.
+# A time constant of two time steps is the shortest one without bouncing.
 CONTACT_SOLREF = (0.01, 1.0)
 CONTACT_SOLIMP = (0.98, 0.999, 0.0005, 0.5, 2.0)
 OBJECT_FRICTION = (0.25, 0.01, 0.0002)
-"""Sliding, torsional [m] and rolling [m] friction: waxed wood. With more, a cube that
-is pushed along stutters and hops."""
+"""Sliding, torsional [m] and rolling [m] friction of waxed wood. With more friction, a
+pushed cube stutters and hops."""
 
 FALLEN = 2
-"""Contact bit of the floor, and of what can fall on it: arms never come so low."""
+"""Contact bit of the floor and of movable objects; arms do not collide with the floor.
+"""
 
 _GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -26,22 +27,22 @@ _GEOMS = {
 
 
 def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
-    """Return the quaternion ``wxyz`` of a turn about the vertical."""
+    """Return the quaternion ``wxyz`` of a rotation about the vertical by yaw [rad]."""
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
 def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
-    """Add one object to the world body, lying on the table.
+    """Add one object on the table to the world body.
 
-    An object that is not fixed to the table is a free body with a joint of its name.
+    An object that is not fixed to the table is a free body; its joint has its name.
 
     Args:
-        spec: The scene that is being built, with angles in radians.
+        spec: The MuJoCo specification of the scene, with angles in radians.
         entity: The entity.
-        pose: Where it lies.
+        pose: World from object.
 
     Returns:
-        Its body, which has the entity's name.
+        The body, which has the entity's name.
     """
     kind, name = entity.kind, entity.name
     body = spec.worldbody.add_body(

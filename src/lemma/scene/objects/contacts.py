@@ -1,4 +1,4 @@
-"""Hands near objects, and the parts of robots that touch them."""
+"""Grippers near objects, and contacts between parts of robots and objects."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +8,22 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 
 LEFT, RIGHT = 2, 4
-"""Bits of the pads of the fingers; every other part of a robot has the bit 1."""
+"""Bits of the finger pads; all other parts of a robot have the bit 1."""
 
 WATCH_M = 0.2
-"""A hand watches what is within this of its tool centre point [m]."""
+"""Distance from the tool centre point within which an object is near a gripper [m]."""
 _STILL_M = 0.0005
 
 
 def parts_of_robots(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int64]:
-    """Return robot and part of each geom, (ngeom, 2): part 1, or a finger's pad."""
+    """Return the robot's index and the part's bit of each geom, (ngeom, 2).
+
+    Both are -1 for geoms that belong to no robot.
+
+    Args:
+        model: The scene's model.
+        robots: Names of the robots.
+    """
     found = np.full((model.ngeom, 2), -1, np.int64)
     for geom in range(len(found)):
         body = model.body(int(model.geom_bodyid[geom])).name
@@ -36,7 +43,15 @@ def is_near_or_moved(
     hands: NDArray[np.int64],
     seen: FloatArray,
 ) -> tuple[bool, bool]:
-    """Whether a hand is near an object, and whether one has moved since it was seen."""
+    """Return whether a gripper is near an object, and whether an object has moved.
+
+    Args:
+        qpos: MuJoCo's ``qpos``.
+        at: Address of each object's position in ``qpos``, (objects,).
+        sites: World positions of all sites, (nsite, 3) [m].
+        hands: Site of each gripper's tool centre point, (robots,).
+        seen: Positions at the last call, (objects, 3) [m]; updated.
+    """
     near, moved = False, False
     for k in range(len(at)):
         x, y, z = qpos[at[k]], qpos[at[k] + 1], qpos[at[k] + 2]
@@ -58,7 +73,14 @@ def find_touches(
     parts: NDArray[np.int64],
     touch: NDArray[np.int64],
 ) -> None:
-    """Note which parts of which robot touch which object, as bits."""
+    """Set the bits of the robots' parts that touch objects.
+
+    Args:
+        contacts: Both geoms of each contact, (ncon, 2).
+        owner: Object of each geom, (ngeom,); negative for others.
+        parts: Result of :func:`parts_of_robots`, (ngeom, 2).
+        touch: Bits of the touching parts, (robots, objects); written.
+    """
     for c in range(len(contacts)):
         for side in range(2):
             a, b = contacts[c, side], contacts[c, 1 - side]

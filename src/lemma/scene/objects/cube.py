@@ -1,10 +1,10 @@
-"""The cube, which is moved, stacked, hooked and poked."""
+"""The cube, which robots move, stack, hook and poke."""
 
 from lemma.scene.objects.kind import OBJECT_KINDS, Capsule, Shell, box
 
 CUBE_EDGE_M = 0.05
 CUBE_MASS_KG = 0.09
-"""A wooden block of 720 kg/m3."""
+"""Mass of a wooden cube of 720 kg/m3."""
 
 _MIDDLE = (0.0, 0.0, 0.0)
 
@@ -19,7 +19,7 @@ CUBE = OBJECT_KINDS.add(
         side_m=0.028,
         spacing_m={"cube": 0.125, "pad": 0.15, "stick": 0.10},
         drag_m=CUBE_EDGE_M / 2,
-        # The sphere around it is wider than its footprint, whatever its heading.
+        # The sphere around it is wider than its footprint at any heading.
         shell=Shell(
             (Capsule(_MIDDLE, _MIDDLE, 0.87 * CUBE_EDGE_M),), 0.5 * CUBE_EDGE_M
         ),

@@ -1,12 +1,12 @@
-"""Entities: a color and a kind, and the names by which everything speaks of them.
+"""Entities: objects that are identified by color and kind, and their names.
 
-An entity is called by its color and its kind (``"red_cube"``), or by the kind alone
-where that comes in one color (``"stick"``). Instances, plans, actions and data hold
-these names; :func:`entity_named` is the one place that takes them apart.
+The name of an entity is its color and its kind (``"red_cube"``), or the kind alone if
+the kind has one color (``"stick"``). Instances, plans, actions and data refer to
+entities by name; only :func:`entity_named` parses names.
 
-The numbers of actions and labels count :data:`ENTITIES`, the benchmark's own. These
-never change. Entities of users come behind them, and behind ``"shared"`` where
-that is a choice too: see :func:`known_entities`.
+Actions and labels number the benchmark's entities, :data:`ENTITIES`, first; these
+numbers never change. Entities of users follow, after ``"shared"`` where that is a
+choice too: see :func:`known_entities`.
 """
 
 from collections.abc import Collection
@@ -23,10 +23,14 @@ from lemma.scene.objects.stick import STICK_KIND
 
 @dataclass(frozen=True, slots=True)
 class Entity:
-    """An object that may be on a table: at most one in each scene."""
+    """An object that may be in a scene, at most once.
+
+    Raises:
+        UnknownNameError: The kind does not come in this color.
+    """
 
     color: str
-    """A name in the palette; empty for a kind of one color."""
+    """A name in the palette; empty for a kind with a color of its own."""
     kind: ObjectKind
 
     def __post_init__(self) -> None:
@@ -42,46 +46,47 @@ class Entity:
 
     @property
     def name(self) -> str:
-        """``"red_cube"``; ``"stick"`` for a kind of one color."""
+        """Name of the entity, such as ``"red_cube"`` or ``"stick"``."""
         return f"{self.color}_{self.kind.name}" if self.color else self.kind.name
 
     @property
     def phrase(self) -> str:
-        """How instructions speak of it: ``"red cube"``, ``"yellow stick"``."""
+        """The phrase in instructions, such as ``"red cube"``."""
         return " ".join(filter(None, (self.color, self.kind.nouns[0])))
 
     @property
     def rgba(self) -> Rgba:
-        """Its paint."""
+        """Color and opacity, each in [0, 1]."""
         return OBJECT_COLORS[self.color] if self.kind.color is None else self.kind.color
 
 
 STICK = STICK_KIND.name
-"""Name of the one L-shaped stick."""
+"""Name of the L-shaped stick."""
 SHARED = "shared"
-"""Name of the region that every robot of a team reaches: a place like an entity."""
+"""Name of the region that every robot of a team reaches; sub-tasks use it like an
+entity."""
 HAND = "hand"
-"""Name of any robot's hand, in goals: a cube that is in one, or one over a cube."""
+"""Name of any robot's gripper in goals, which holds a cube or is over one."""
 ENTITIES = (
     *(Entity(color, CUBE).name for color in BENCHMARK_COLORS),
     *(Entity(color, PAD).name for color in BENCHMARK_COLORS),
     STICK,
 )
-"""The benchmark's entities, in the order of their numbers. Weights and data count on
-it, so it does not grow with what is registered."""
+"""The benchmark's entities, in the order of their numbers. Weights and data depend on
+it, so registered entities are not added."""
 
 
 def pair_regions(team_size: int) -> tuple[str, ...]:
-    """Return the names of all places that two of a team may share: ``"shared_01"``.
+    """Return the names of the regions of all pairs in a team, such as ``"shared_01"``.
 
-    A pair has none: what it shares is :data:`SHARED`.
+    The result is empty for a team of two, whose region is :data:`SHARED`.
     """
     pairs = combinations(range(team_size), 2) if team_size > 2 else ()
     return tuple(f"{SHARED}_{first}{second}" for first, second in pairs)
 
 
 def is_region(name: str) -> bool:
-    """Whether a place is no object, but a part of the table that robots share."""
+    """Return whether a place is a region of the table, not an object."""
     return name == SHARED or name.startswith(f"{SHARED}_")
 
 
@@ -89,7 +94,7 @@ def entity_named(name: str) -> Entity:
     """Return the entity of a name.
 
     Raises:
-        UnknownNameError: No registered color and kind make it.
+        UnknownNameError: The name is not that of a registered color and kind.
     """
     return Entity(*_color_and_kind(name))
 
@@ -98,7 +103,7 @@ def kind_of(name: str) -> ObjectKind:
     """Return the kind of an entity.
 
     Raises:
-        UnknownNameError: No registered color and kind make it.
+        UnknownNameError: The name is not that of a registered color and kind.
     """
     return _color_and_kind(name)[1]
 
@@ -113,9 +118,9 @@ def _color_and_kind(name: str) -> tuple[str, ObjectKind]:
 
 
 def known_entities(kinds: Collection[str] = ()) -> tuple[str, ...]:
-    """Return every entity that may be on a table now: their order is their number.
+    """Return all entities that exist now, in the order of their numbers.
 
-    :data:`ENTITIES` come first, then what was registered since: by kind, in each by
+    :data:`ENTITIES` come first, then registered ones by kind, and for each kind by
     color, both in the order of registration.
 
     Args:

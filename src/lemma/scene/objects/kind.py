@@ -1,11 +1,10 @@
-"""Kinds of objects: shape, and what robots can do with it.
+"""Kinds of objects: shapes and affordances.
 
-One record answers every question that the rest asks about an object: physics what it is
-made of, skills where to grasp it, goals what may lie on it, the planner how much room
-it takes, language what it is called. Plain data, so that code without a simulator
-(policies, servers) reads the same numbers.
+One record has all properties of a kind: geoms for physics, the grasp for skills, the
+support surface for goals, clearances for the planner, nouns for language. It does not
+need MuJoCo, so that code without a simulator (policies, servers) can use it.
 
-:func:`box` and :func:`cylinder` make the usual kinds from their sizes alone.
+:func:`box` and :func:`cylinder` create common kinds from their sizes.
 """
 
 import math
@@ -26,13 +25,13 @@ if TYPE_CHECKING:
 Point = tuple[float, float, float]
 
 SHAPES = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1}
-"""Shapes of parts, and how many sizes each has."""
+"""Shapes of parts, with the number of sizes of each."""
 
 _NAME = re.compile(r"[a-z][a-z0-9]*")
 _RESERVED = ("shared", "table", "start", "hand")
-"""Other things that an object may lie on or be put to."""
+"""Names of supports and regions that are not objects."""
 _FINGERS_BETWEEN_M = 0.055
-"""Between the discs of two objects that lie beside each other: fingers fit between."""
+"""Default gap between the discs of two objects, so that fingers fit between them."""
 _CLEAR_OF_PALM_M = 0.004
 _UP = (0.0, 0.0, 1.0)
 
@@ -44,20 +43,21 @@ class Part:
     shape: str
     """A name in :data:`SHAPES`."""
     size_m: tuple[float, ...]
-    """As MuJoCo has it: a box's three half extents; a cylinder's or capsule's radius
-    and half length along z; a sphere's radius [m]."""
+    """Sizes as in MuJoCo [m]: three half extents of a box; radius and half length along
+    z of a cylinder or capsule; radius of a sphere."""
     mass_kg: float | None = None
-    """None for a part of what is fixed to the table."""
+    """Mass; None for a part of an object that is fixed to the table."""
     position_m: Point = (0.0, 0.0, 0.0)
-    """Middle of the part in the object's frame [m]."""
+    """Centre of the part in the object's frame [m]."""
     name: str = ""
-    """Tells the parts of one object from each other."""
+    """Name of the part, unique within its object."""
 
     def __post_init__(self) -> None:
         """Check the shape and its sizes.
 
         Raises:
-            InvalidConfigError: No such shape, or sizes that it does not have.
+            InvalidConfigError: No such shape, or the wrong number of sizes, or a size
+                that is not positive.
         """
         fits = len(self.size_m) == SHAPES.get(self.shape)
         if not fits or not all(0.0 < size < math.inf for size in self.size_m):
@@ -70,7 +70,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """A capsule in an object's frame: its obstacle to an arm that moves by."""
+    """A capsule in an object's frame, an obstacle for arms."""
 
     start: Point
     end: Point
@@ -79,99 +79,105 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Shell:
-    """Obstacle of the safety filter of control-level actions."""
+    """Obstacle for the safety filter of control-level actions."""
 
     capsules: tuple[Capsule, ...]
-    """They cover the object, at any heading; of the stick, all but the inner edges of
-    its hook, which stick out by 9.6 mm at most."""
+    """Capsules that cover the object at any heading; the inner edges of the stick's
+    hook protrude by 9.6 mm at most."""
     rim_m: float
-    """The object's top above the higher end of its first capsule's axis [m]."""
+    """Height of the object's top above the higher end of the first capsule's axis [m].
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """How a gripper that points down holds an object that stands upright."""
+    """The grasp of an upright object by a gripper that points down."""
 
     width_m: float
-    """Opening of the fingers when they hold it [m]."""
+    """Opening of the fingers that hold the object [m]."""
     height_m: float
-    """Tool centre point above what the object lies on [m]."""
+    """Height of the tool centre point above the object's support [m]."""
     turn_rad: float
-    """The fingers close along the object's own heading and every multiple of this
-    from it [rad]; 0 for what is round and held from any side."""
+    """Symmetry: the grasp may be rotated by multiples of this angle about the vertical
+    [rad]; 0 for round objects, which can be grasped from any side."""
     at: Pose2 = field(default_factory=lambda: Pose2(0.0, 0.0))
-    """Where the gripper closes, in the object's frame."""
+    """Pose of the gripper in the object's frame."""
 
 
 Builder = Callable[["mujoco.MjSpec", "mujoco.MjsBody", str], None]
-"""Adds what parts cannot say to an object's body: the scene being built, the body, and
-the object's name, with which every name that is given must begin."""
+"""Adds elements other than parts to an object's body. Its arguments are the MuJoCo
+specification of the scene, the body, and the object's name; all names that it adds must
+begin with that name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObjectKind:
-    """A kind of object. Lengths in metres, in the frame of the object's body.
+    """A kind of object. Lengths are in metres, in the frame of the object's body.
 
-    The frame stands upright: z up, and x where the object's heading points.
+    The frame has z up and x along the object's heading.
+
+    Raises:
+        InvalidConfigError: The name or a noun is invalid, a length is not positive, or
+            the grasp is not feasible.
     """
 
     name: str
-    """Nouns of the kind, which follow a color: ``"cube"``. Lower-case
-    letters and digits."""
+    """Name of the kind, which follows a color in names of entities, such as ``"cube"``:
+    lower-case letters and digits."""
     nouns: tuple[str, ...] = ()
-    """Words for it; instructions use the first. The name if empty."""
+    """Words for it; instructions use the first. If empty, the name."""
     parts: tuple[Part, ...]
     """Its geoms."""
     build: Builder | None = None
-    """Adds what parts cannot say, such as meshes."""
+    """Adds elements other than parts, such as meshes."""
     color: Rgba | None = None
-    """Color of a kind of which there is one in a scene, called by the kind's name
-    alone; None where it comes in every color of the palette."""
+    """Color of a kind with at most one object in a scene, which has the kind's name;
+    None if the kind comes in all colors of the palette."""
     listed: bool = True
-    """Whether actions and observations of every task count it; otherwise only those of
-    tasks that name it in :attr:`.Task.kinds`."""
+    """Whether actions and observations of all tasks have a number for it; otherwise
+    only those of tasks that have it in :attr:`.Task.kinds`."""
     fixed: bool = False
-    """Whether it is part of the table."""
+    """Whether objects are fixed to the table."""
     tool: bool = False
-    """Whether it is there to act on others with and never a goal's."""
+    """Whether it is a tool, which acts on other objects and is never part of a goal."""
     height_m: float
-    """Of its top above what it lies on."""
+    """Height of its top above its support."""
     origin_m: float
-    """Of its frame above what it lies on."""
+    """Height of its frame above its support."""
     disc_m: float
-    """Radius of a disc around its middle that covers it, seen from above; of the stick,
-    around any point of its axes."""
+    """Radius of a disc around its centre that covers it, seen from above; for the
+    stick, around any point of its axes."""
     side_m: float
-    """From its middle to its sides, on average: fingers come down beside it."""
+    """Mean distance from its centre to its sides, beside which fingers descend."""
     spacing_m: Mapping[str, float] = field(default_factory=dict)
-    """Least distance of middles from objects of other kinds when a table is set, by
-    name of the kind; from the stick, to its axes. Where a pair has none, the discs and
-    room for fingers."""
+    """Smallest initial distance of its centre from the centre of objects of other
+    kinds, or from the axes of the stick, by name of the kind. The default of a pair is
+    the sum of both discs with room for fingers."""
     grasp: Grasp | None = None
-    """How it is held; None where it cannot be."""
+    """The grasp; None if no gripper can hold it."""
     tops: tuple[Point, ...] = (_UP,)
-    """Unit vectors in its frame of which one points up when it stands on a face: of a
-    box six, of a cylinder two."""
+    """Unit vectors in its frame that may point up when it stands on a face: six for a
+    box, two for a cylinder."""
     support_m: float | None = None
-    """How far from its middle the middle of what lies on it may be; None where nothing
-    can."""
+    """Largest distance between its centre and the centre of an object on it; None if no
+    object can lie on it."""
     span_m: float | None = None
-    """Between the middles of two things of one height that it lies across, half of it
-    to each side along x; None for what lies on one thing."""
+    """Distance between the centres of the two objects of equal height that it lies on,
+    one at each side of its centre along x; None for a kind that lies on one object."""
     drag_m: float | None = None
-    """From its middle to where the stick touches it; None where the stick must not
-    drag it."""
+    """Distance from its centre to the contact point of the stick; None if the stick
+    cannot drag it."""
     obstacle: tuple[Capsule, ...]
-    """Obstacles that arms under RMPflow avoid."""
+    """Obstacles for arms under RMPflow."""
     shell: Shell
-    """Obstacles that the safety filter keeps arms clear of."""
+    """Obstacles for the safety filter."""
 
     def __post_init__(self) -> None:
-        """Check what would go wrong later.
+        """Check all properties.
 
         Raises:
-            InvalidConfigError: The name cannot be part of an entity's, a length is not
-                positive, or no gripper holds it as it says.
+            InvalidConfigError: The name or a noun is invalid, a length is not positive,
+                or the grasp is not feasible.
         """
         if not _NAME.fullmatch(self.name) or self.name in _RESERVED:
             raise self._error(
@@ -190,13 +196,13 @@ class ObjectKind:
                 raise self._error(f"{what}={getattr(self, what)} must be positive")
         weightless = any(not part.mass_kg for part in self.parts)
         if weightless and not self.fixed:
-            raise self._error("what can move needs the mass of each of its parts")
+            raise self._error("a movable kind needs the mass of each of its parts")
         if self.grasp is not None:
             self._check_grasp(self.grasp)
 
     def _check_grasp(self, grasp: Grasp) -> None:
         if self.fixed:
-            raise self._error("what is fixed to the table has no grasp")
+            raise self._error("a kind that is fixed to the table has no grasp")
         if not self.tool and grasp.at.xy != (0.0, 0.0):
             raise self._error("only a tool can be grasped beside its middle")
         if not 0.0 < grasp.width_m < FINGER_OPENING_M:
@@ -216,17 +222,17 @@ class ObjectKind:
 
     @property
     def colored(self) -> bool:
-        """Whether there is one of each color."""
+        """Whether it comes in all colors of the palette."""
         return self.color is None
 
     @property
     def cargo(self) -> bool:
-        """Whether it is there to be moved somewhere: no tool, not fixed."""
+        """Whether goals may move it: it is neither fixed nor a tool."""
         return not (self.fixed or self.tool)
 
     @property
     def faceted(self) -> bool:
-        """Whether it is grasped along its faces, which stacks then align."""
+        """Whether it is grasped along its faces; objects in stacks are then aligned."""
         return self.grasp is not None and self.grasp.turn_rad > 0.0
 
     @property
@@ -246,7 +252,7 @@ class ObjectKind:
         return (pose @ Pose2(-half_m, 0.0), pose @ Pose2(half_m, 0.0))
 
     def spacing_to(self, other: "ObjectKind") -> float:
-        """Return the least distance of the middles of two objects on a table [m]."""
+        """Return the smallest initial distance of the centres of two objects [m]."""
         for one, two in ((self, other), (other, self)):
             if two.name in one.spacing_m:
                 return one.spacing_m[two.name]
@@ -254,27 +260,27 @@ class ObjectKind:
 
 
 OBJECT_KINDS: Registry[ObjectKind] = Registry("object kind", ObjectKind)
-"""Every kind of object that a scene may have, by name; built-in ones first."""
+"""All kinds of objects, by name; built-in ones first."""
 
 
 def box(name: str, size_m: Point, mass_kg: float, **details: Any) -> ObjectKind:
-    """Return a solid box that lies on the table, is grasped, stacked and built upon.
+    """Return the kind of a solid box that can be grasped and stacked.
 
     Args:
-        name: Of the kind.
-        size_m: Its edges along x, y and z [m].
-        mass_kg: Its mass [kg].
-        **details: Fields of :class:`ObjectKind` that differ from what follows from the
-            sizes: ``grasp=None``, ``drag_m=0.03``.
+        name: Name of the kind.
+        size_m: Edge lengths along x, y and z [m].
+        mass_kg: Mass [kg].
+        **details: Fields of :class:`ObjectKind` that replace the computed ones, such as
+            ``grasp=None`` or ``drag_m=0.03``.
 
     Raises:
-        InvalidConfigError: No gripper can hold it.
+        InvalidConfigError: No gripper can hold it, or a field is invalid.
     """
     x, y, z = size_m
     half = (x / 2, y / 2, z / 2)
     diagonal = math.hypot(half[0], half[1])
     square = x == y
-    # The fingers close along y, the gripper's; across the narrower side.
+    # The fingers close along the gripper's y axis, across the narrower side.
     across = 0.0 if y <= x else math.pi / 2
     return replace(
         _upright(name, z, (Part("box", half, mass_kg),), diagonal, max(half[:2])),
@@ -299,18 +305,18 @@ def box(name: str, size_m: Point, mass_kg: float, **details: Any) -> ObjectKind:
 def cylinder(
     name: str, radius_m: float, height_m: float, mass_kg: float, **details: Any
 ) -> ObjectKind:
-    """Return a solid upright cylinder that is grasped, stacked and built upon.
+    """Return the kind of a solid upright cylinder that can be grasped and stacked.
 
     Args:
-        name: Of the kind.
-        radius_m: Its radius [m].
-        height_m: Its height [m].
-        mass_kg: Its mass [kg].
-        **details: Fields of :class:`ObjectKind` that differ from what follows from the
-            sizes: ``nouns=("can", "tin")``, ``drag_m=radius``.
+        name: Name of the kind.
+        radius_m: Radius [m].
+        height_m: Height [m].
+        mass_kg: Mass [kg].
+        **details: Fields of :class:`ObjectKind` that replace the computed ones, such as
+            ``nouns=("can", "tin")`` or ``drag_m=radius_m``.
 
     Raises:
-        InvalidConfigError: No gripper can hold it.
+        InvalidConfigError: No gripper can hold it, or a field is invalid.
     """
     parts = (Part("cylinder", (radius_m, height_m / 2), mass_kg),)
     return replace(
@@ -327,7 +333,7 @@ def cylinder(
 def _upright(
     name: str, height_m: float, parts: tuple[Part, ...], disc_m: float, side_m: float
 ) -> ObjectKind:
-    """Return a kind that stands on the table, with its frame in its middle."""
+    """Return a kind that stands upright, with its frame at its centre."""
     half = height_m / 2
     inner = max(0.0, half - side_m)
     column = Capsule((0.0, 0.0, -inner), (0.0, 0.0, inner), side_m)
@@ -345,5 +351,5 @@ def _upright(
 
 
 def _grasp_height_m(height_m: float) -> float:
-    """Return where to grasp: in the middle, but no deeper than the palm allows."""
+    """Return the grasp height [m]: the centre, or higher if the palm would collide."""
     return max(height_m / 2, height_m - PALM_ABOVE_TCP_M + _CLEAR_OF_PALM_M)

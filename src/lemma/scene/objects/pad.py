@@ -1,7 +1,7 @@
-"""The pad: a round plate on the table, on which things are put.
+"""The pad: a round plate on the table that supports objects.
 
-It is too high to be climbed by a cube that the stick pushes along the table. A robot
-that puts a cube on it must lift the cube, and so must reach the pad.
+It is so high that the stick cannot push a cube onto it. A robot that puts a cube on it
+must lift the cube, and so must reach the pad.
 """
 
 import math
@@ -15,9 +15,9 @@ _HALF_M = PAD_THICKNESS_M / 2
 
 
 def _star(spokes: int) -> tuple[Capsule, ...]:
-    """Return capsules that cross in the middle of the plate and cover all of it.
+    """Return capsules that cross at the centre of the plate and cover all of it.
 
-    Farthest from their axes is the rim, midway between two of them.
+    The points farthest from their axes are on the rim, midway between two capsules.
     """
     half_angle = math.pi / (2 * spokes)
     length = PAD_RADIUS_M * math.cos(half_angle)

@@ -1,4 +1,4 @@
-"""The colors of objects, the stick's, and the room's."""
+"""The colors of objects, of the stick and of the room."""
 
 import re
 
@@ -11,11 +11,11 @@ _NAME = re.compile(r"[a-z]+")
 
 
 def _check(name: str, rgba: Rgba) -> None:
-    """Refuse what cannot be a color of objects.
+    """Check a color of objects.
 
     Raises:
-        InvalidConfigError: The name is no one lower-case word, which instructions could
-            say, or the color is not four numbers from 0 to 1, or not opaque.
+        InvalidConfigError: The name is not a single lower-case word, as instructions
+            need, or the color is not four numbers from 0 to 1, or not opaque.
     """
     if not _NAME.fullmatch(name):
         raise InvalidConfigError(
@@ -30,7 +30,7 @@ def _check(name: str, rgba: Rgba) -> None:
 
 
 OBJECT_COLORS: Registry[Rgba] = Registry("object color", Rgba, on_add=_check)
-"""Every color that an object may have, by name; the benchmark's own come first."""
+"""All colors of objects, by name; the benchmark's own come first."""
 
 OBJECT_COLORS.add("pink", (0.95, 0.45, 0.68, 1.0))
 OBJECT_COLORS.add("red", (0.80, 0.10, 0.10, 1.0))
@@ -39,8 +39,8 @@ OBJECT_COLORS.add("blue", (0.10, 0.28, 0.78, 1.0))
 OBJECT_COLORS.add("green", (0.10, 0.55, 0.22, 1.0))
 
 BENCHMARK_COLORS = tuple(OBJECT_COLORS)
-"""The colors that the benchmark draws from. Instances, numbers of entities and weights
-count on these, so they do not grow with what is registered."""
+"""The benchmark's colors. Instances, numbers of entities and weights depend on them, so
+registered colors are not added."""
 
 STICK: Rgba = (0.96, 0.76, 0.12, 1.0)
 TABLE: Rgba = (0.43, 0.47, 0.52, 1.0)

@@ -1,4 +1,4 @@
-"""The stick: an L with which things are hooked and poked.
+"""The stick: an L-shaped tool to hook and poke cubes.
 
 Its frame is at the free end of the handle at half height; x points along the handle to
 the hook, which bends to +y.
@@ -19,14 +19,14 @@ from lemma.scene.objects.palette import STICK as STICK_COLOR
 
 HANDLE_LENGTH_M = 0.75
 HOOK_LENGTH_M = 0.15
-"""Of the hook, counted from the handle's far side."""
+"""Length of the hook, measured from the far side of the handle."""
 STICK_SECTION_M = 0.03
 STICK_DENSITY = 120.0
-"""[kg/m3], a foam-filled tube: light enough to be held at one end by friction."""
+"""Density of a foam-filled tube [kg/m3]: friction can hold the stick at one end."""
 GRASP_FROM_END_M = 0.05
-"""Where the handle is grasped, from its free end: the stick then reaches farthest."""
+"""Distance of the grasp from the free end of the handle, for the longest reach."""
 STICK_GRASP_HEIGHT_M = 0.018
-"""The fingertips end 6 mm above the table, so they never touch it."""
+"""Grasp height above the table; the fingertips are then 6 mm above the table."""
 
 _HALF = STICK_SECTION_M / 2
 _AREA = STICK_SECTION_M * STICK_SECTION_M

@@ -1,15 +1,14 @@
-"""Renderers of color and depth of many states of a scene, by name.
+"""Renderers of color and depth images of many states of a scene, by name.
 
-``opengl`` draws one picture after the other, as environments do. ``warp`` traces the
-rays of hundreds of states at once on an NVIDIA GPU, with MuJoCo Warp. Both see the same
-to within a step of 8-bit color and a micrometre of depth, except where an edge runs
-through a pixel.
+``opengl`` draws one image after the other, as environments do. ``warp`` traces the rays
+of hundreds of states at once on an NVIDIA GPU, with MuJoCo Warp. Their images agree to
+within one step of 8-bit color and 1 um of depth, except in pixels that contain an edge.
 
-The optional packages ``mujoco-warp`` and ``warp-lang`` are imported by the first ray
-tracer. They also run on a CPU, slower than OpenGL, for tests. MuJoCo itself computes
-the poses, in double precision; the GPU gets where every geom, camera and lamp is and
-traces one ray per pixel. That keeps the simulation of MuJoCo Warp out of it: its ray
-tracer alone is compiled, once per machine and kinds of geoms.
+The first ray tracer imports the optional packages ``mujoco-warp`` and ``warp-lang``.
+They also run on a CPU, slower than OpenGL, for tests. MuJoCo computes the poses in
+double precision; the GPU gets the poses of geoms, cameras and lights and traces one ray
+per pixel. So only the ray tracer of MuJoCo Warp is compiled, once per machine and set
+of geom types.
 """
 
 import hashlib
@@ -36,15 +35,15 @@ from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
 AUTO = "auto"
-"""Stands for the fastest renderer that works here."""
+"""Name for the fastest available renderer."""
 _MOST_STATES = 64
 _MOST_PIXELS = 2**22
 VISIBLE_GROUPS = [0, 1, 2]
-"""Groups of geoms that are drawn."""
+"""Geom groups that are drawn."""
 _KEPT_CONTEXTS = 4
-"""Kept on the GPU: their meshes and trees serve every scene of the same shapes."""
+"""Contexts kept on the GPU, each with meshes and trees for scenes of equal shapes."""
 _LARGEST_PX = 8192
-# Arrays of a model that a context is made of; others are passed with each launch.
+# Arrays of a model that are part of a context; others are passed with each launch.
 _SHAPES = (
     *("geom_type", "geom_group", "light_type", "light_attenuation"),
     *("mesh_vert", "mesh_face", "mesh_faceadr", "mesh_vertadr"),
@@ -52,47 +51,47 @@ _SHAPES = (
 )
 
 Aim = Callable[[mujoco.MjData], Sequence[str | Camera]]
-"""Returns the cameras that look at a state with derived poses up to date: names in the
-scene, or calibrated cameras, which may move from state to state."""
+"""Returns the cameras for a state with up-to-date derived poses: names in the scene, or
+calibrated cameras, which may differ between states."""
 
 
 class Pictures(NamedTuple):
-    """Pictures of some cameras in some states."""
+    """Images of several cameras in several states."""
 
     rgb: NDArray[np.uint8]
     """Color, shape (states, cameras, height, width, 3)."""
     depth_m: NDArray[np.float32] | None
     """Distance along the camera's z axis [m], shape (states, cameras, height, width);
-    0: nothing. None if it was not asked for."""
+    0: no surface. None if depth was not rendered."""
 
 
 def states_at_once(width: int, height: int, cameras: int) -> int:
-    """Return how many states to render together: memory is bounded by pixels.
+    """Return the number of states to render together, bounded by memory.
 
     Args:
-        width: Of every picture [px].
-        height: Of every picture [px].
-        cameras: How many look at each state.
+        width: Width of every image [px].
+        height: Height of every image [px].
+        cameras: Number of cameras.
 
     Raises:
-        InvalidConfigError: There is nothing to render.
+        InvalidConfigError: An argument is below 1.
     """
     if min(width, height, cameras) < 1:
         raise InvalidConfigError(
-            f"{cameras} cameras of {width} x {height} pixels see nothing. All three "
-            "must be at least 1."
+            f"{cameras} cameras of {width} x {height} pixels cannot be rendered. All "
+            "three must be at least 1."
         )
     return max(1, min(_MOST_STATES, _MOST_PIXELS // (width * height * cameras)))
 
 
 class OpenGLRenderer:
-    """Draws picture after picture, on a GPU if EGL finds one, else in software.
+    """Draws image after image, on a GPU if EGL finds one, else in software.
 
-    Make one per process and keep it.
+    Create one per process and reuse it.
     """
 
     def __init__(self, width: int, height: int) -> None:
-        """Prepare; OpenGL is started by the first picture.
+        """Set the size of images [px]; the first image starts OpenGL.
 
         Raises:
             InvalidConfigError: The size is impossible.
@@ -102,17 +101,17 @@ class OpenGLRenderer:
     def render(
         self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
     ) -> Pictures:
-        """Render some states.
+        """Render states.
 
         Args:
-            scene: The scene; its own state is left alone.
-            qpos: The positions of all joints in each state, shape (states, nq).
-            aim: Says which cameras look; as many for every state.
+            scene: The scene; its own state does not change.
+            qpos: Positions of all joints in each state, shape (states, nq).
+            aim: Returns the cameras of a state, equally many for every state.
             depth: Whether to render depth too.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            RenderingError: It does not work here.
+            RenderingError: OpenGL does not work here.
         """
         colors, depths = [], []
         for row in qpos:
@@ -131,11 +130,11 @@ class OpenGLRenderer:
         )
 
     def describe(self) -> str:
-        """Return the software and the device that draw; both decide the bytes."""
+        """Return software and device, on both of which the pixels depend."""
         return choose_backend().renderer
 
     def close(self) -> None:
-        """Forget the last scene; the renderer can still be used afterwards."""
+        """Free the last scene; the renderer can still be used afterwards."""
         self._renderer.close()
 
 
@@ -149,7 +148,7 @@ def _packages() -> tuple[ModuleType, ModuleType]:
     try:
         import warp  # noqa: PLC0415
 
-        # It speaks of devices and of everything that it compiles, from every worker.
+        # By default every worker logs devices and everything that it compiles.
         warp.config.log_level = warp.LOG_WARNING
         import mujoco_warp  # noqa: PLC0415
     except ImportError as error:
@@ -184,14 +183,14 @@ class Poses:
 
 
 class RayTracer:
-    """Renders many states at once, on a GPU; used like :class:`OpenGLRenderer`."""
+    """Renders many states at once on a GPU, as :class:`OpenGLRenderer` does singly."""
 
     def __init__(self, width: int, height: int) -> None:
-        """Prepare.
+        """Set the size of images.
 
         Args:
-            width: Width of every picture [px].
-            height: Height of every picture [px].
+            width: Width of every image [px].
+            height: Height of every image [px].
 
         Raises:
             InvalidConfigError: The size is impossible.
@@ -212,11 +211,11 @@ class RayTracer:
     def render(
         self, scene: Scene, qpos: FloatArray, aim: Aim, *, depth: bool
     ) -> Pictures:
-        """Render some states; see :meth:`OpenGLRenderer.render`.
+        """Render states; see :meth:`OpenGLRenderer.render`.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            RenderingError: The device could not do it.
+            RenderingError: The device failed.
         """
         self._take(scene)
         places, cameras = [], []
@@ -250,17 +249,17 @@ class RayTracer:
         return Pictures(rgb, np.concatenate(depths) if depth else None)
 
     def describe(self) -> str:
-        """Return versions and device."""
+        """Return software version and device, on both of which the pixels depend."""
         warp, _ = _packages()
         return f"MuJoCo Warp {version('mujoco-warp')}, {warp.get_device().name}"
 
     def close(self) -> None:
-        """Forget everything that is held on the device."""
+        """Free all memory on the device; the renderer can still be used afterwards."""
         self._contexts.clear()
         self._scene = self._model = None
 
     def _take(self, scene: Scene) -> None:
-        """Bring a scene's colors, sizes and lamps to the device, if it is another."""
+        """Copy a new scene's colors, sizes and lights to the device."""
         if self._scene is scene:
             return
         model = scene.model
@@ -313,7 +312,7 @@ class RayTracer:
         width, height = self._size
         packed = context.rgb_data[:states].numpy()
         channels = packed.view(np.uint8).reshape(states, cameras, height, width, 4)
-        # Bytes are blue, green, red and opacity.
+        # The byte order is blue, green, red, opacity.
         rgb = np.ascontiguousarray(channels[..., 2::-1])
         if not depth:
             return Pictures(rgb, None)
@@ -321,9 +320,9 @@ class RayTracer:
         return Pictures(rgb, depth_m.reshape(states, cameras, height, width).copy())
 
     def _context(self, cameras: int, *, depth: bool) -> Any:
-        """Return buffers and trees for scenes of these shapes, of any number of states.
+        """Return buffers and trees for scenes of these shapes.
 
-        There is always room for as many as fit into one launch: fewer cost no more.
+        They have room for as many states as fit into one launch; fewer cost no more.
         """
         warp, tracer = _packages()
         key = (self._shapes, cameras, depth)
@@ -334,7 +333,7 @@ class RayTracer:
                 self._scene.model,
                 nworld=states_at_once(*self._size, cameras),
                 cam_res=[self._size] * cameras,
-                # Any camera will do: poses and lenses come with every launch.
+                # Any camera is valid: every launch passes its own poses and lenses.
                 cam_active=[0] * cameras,
                 render_rgb=[True] * cameras,
                 render_depth=[depth] * cameras,
@@ -351,7 +350,7 @@ class RayTracer:
 
 
 def _places(data: mujoco.MjData) -> tuple[FloatArray, ...]:
-    """Return poses of geoms, and places and directions of lamps."""
+    """Return poses of geoms, and positions and directions of lights."""
     return (
         data.geom_xpos.copy(),
         data.geom_xmat.copy(),
@@ -375,17 +374,18 @@ def _camera_row(camera: Camera) -> FloatArray:
 MakeRenderer = Callable[[int, int], OpenGLRenderer | RayTracer]
 
 BATCH_RENDERERS: Registry[MakeRenderer] = Registry("renderer", MakeRenderer)
-"""Makers of renderers by name; each takes the width and height of pictures [px]."""
+"""Constructors of renderers by name; arguments are the width and height of images [px].
+"""
 BATCH_RENDERERS.add("opengl", OpenGLRenderer)
 BATCH_RENDERERS.add("warp", RayTracer)
 
 
 def choose_renderer(name: str) -> str:
-    """Return the name of a renderer that is to be used here.
+    """Return the name of an available renderer.
 
     Args:
-        name: A name in :data:`BATCH_RENDERERS`, or ``"auto"``: ``warp`` where it is
-            installed and there is a GPU for it, else ``opengl``.
+        name: A name in :data:`BATCH_RENDERERS`, or ``"auto"``: ``warp`` if it is
+            installed and finds a GPU, else ``opengl``.
 
     Raises:
         UnknownNameError: There is no such renderer.
@@ -393,6 +393,6 @@ def choose_renderer(name: str) -> str:
     """
     if name == AUTO:
         return "warp" if has_gpu() else "opengl"
-    # A missing package is known before any worker starts.
+    # Report a missing package before any worker starts.
     BATCH_RENDERERS[name](1, 1)
     return name

@@ -1,11 +1,11 @@
-"""Which OpenGL library renders here.
+"""Choice of the OpenGL library.
 
 A headless machine may have EGL (a GPU driver, or Mesa in software), OSMesa (Mesa in
-software, no window system at all) or a display for GLFW; which of them works is known
-only after a picture has been rendered. :func:`choose_backend` tries them in that order
-in a child process, because a failed attempt may crash, and because PyOpenGL binds its
-platform when it is first imported. The answer is kept on disk until the machine
-restarts or its libraries change. ``MUJOCO_GL=egl|osmesa|glfw|cgl`` overrides the order.
+software, without a window system) or a display for GLFW. Only rendering an image shows
+whether one works. :func:`choose_backend` tries them in that order in a child process,
+because a failed attempt may crash, and because PyOpenGL binds its platform when it is
+first imported. The result is cached on disk until the machine restarts or its libraries
+change. ``MUJOCO_GL=egl|osmesa|glfw|cgl`` overrides the order.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ _REMEDY = {
 }
 _DEVICE_VARIABLE = "MUJOCO_EGL_DEVICE_ID"
 _PROBE_TIMEOUT_S = 60.0
-# Prefixes of variables that may change which library works.
+# Prefixes of environment variables that may change which library works.
 _ENVIRONMENT = (
     *("DISPLAY", "EGL_", "GALLIUM_", "LD_LIBRARY_PATH", "LIBGL_", "MESA_", "MUJOCO_"),
     *("NVIDIA_", "PYOPENGL_", "WAYLAND_", "__EGL", "__GLX", "__NV"),
@@ -44,7 +44,7 @@ _MODEL_XML = """
 <worldbody><camera pos="0 0 1"/><geom size=".5" rgba="1 0 0 1"/></worldbody></mujoco>
 """
 
-# Runs in a child process, so it must stand alone.
+# Runs in a child process, without other modules of this package.
 _PROBE = """
 import json, sys
 import mujoco, numpy
@@ -82,18 +82,18 @@ print(json.dumps({"renderer": renderer}))
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """An OpenGL library that has rendered a picture on this machine."""
+    """An OpenGL library that has rendered an image on this machine."""
 
     name: str
-    """MuJoCo's name of it: ``egl``, ``osmesa``, ``glfw`` or ``cgl``."""
+    """MuJoCo's name for it: ``egl``, ``osmesa``, ``glfw`` or ``cgl``."""
     renderer: str
-    """Name that the library gives itself: ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
+    """``GL_RENDERER`` of the library, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
     detail: str
-    """Why it was chosen, for people."""
+    """The reason for the choice, as text."""
 
     @property
     def is_software(self) -> bool:
-        """Whether pictures are drawn by the CPU."""
+        """Whether it renders on the CPU."""
         words = ("llvmpipe", "softpipe", "swrast", "software")
         return any(word in self.renderer.lower() for word in words)
 
@@ -101,11 +101,11 @@ class Backend:
 def choose_backend() -> Backend:
     """Return the OpenGL library that this process renders with.
 
-    The first call on a machine takes one or two seconds, the first call of a later
-    process a millisecond, and every other call nothing.
+    The first call on a machine takes one or two seconds, the first call in a later
+    process 1 ms. Further calls return the same object at once.
 
     Raises:
-        RenderingError: None works; the message says why each failed.
+        RenderingError: None works; the message has the reason of each failure.
     """
     return _choose(os.environ.get("MUJOCO_GL", "").strip().lower())
 
@@ -142,7 +142,7 @@ def _choose(asked: str) -> Backend:
 
 
 def _probe(name: str) -> tuple[str, str | None]:
-    """Render a picture in a child process: the renderer's name, or why it failed."""
+    """Render an image in a child process; return the renderer, and any failure."""
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
     on_linux = platform.system() == "Linux"
     if name == "glfw" and on_linux and not any(map(os.environ.get, displays)):
@@ -169,7 +169,7 @@ def _probe(name: str) -> tuple[str, str | None]:
         lines.append(f"it crashed with signal {-child.returncode}")
     reason = lines[-1].strip() if lines else f"exit code {child.returncode}"
     if reason.startswith("AttributeError: 'NoneType'"):
-        # PyOpenGL's way to say it.
+        # PyOpenGL reports a missing library like this.
         reason = "its library is not installed, or incomplete"
     return "", reason
 
@@ -185,7 +185,7 @@ def _explain(failures: dict[str, str], asked: str) -> str:
 
 
 def _remedy(name: str, failure: str) -> str:
-    """Return what a user can do about a library that failed."""
+    """Return a remedy for the failure of a library."""
     device = os.environ.get(_DEVICE_VARIABLE)
     if device is not None and _DEVICE_VARIABLE in failure:
         return f"unset {_DEVICE_VARIABLE}, which is {device!r}, or set it to 0"
@@ -205,7 +205,7 @@ def _cache_path() -> Path:
 
 
 def _machine_state() -> str:
-    """Return a digest of all facts that decide which library works."""
+    """Return a digest of all facts on which the choice depends."""
     facts: list[object] = [sys.prefix, tuple(os.uname())]
     facts.append(importlib.metadata.version("mujoco"))
     variables = sorted(os.environ.items())
@@ -213,7 +213,7 @@ def _machine_state() -> str:
     with contextlib.suppress(OSError):
         facts.append(Path("/proc/sys/kernel/random/boot_id").read_text("utf-8"))
     with contextlib.suppress(OSError):
-        # The loader's cache is rewritten whenever a package brings a library.
+        # Installing a package with a library rewrites the loader's cache.
         loader = os.stat("/etc/ld.so.cache")
         facts += [loader.st_dev, loader.st_ino, loader.st_size, loader.st_mtime_ns]
     with contextlib.suppress(OSError):
@@ -233,7 +233,7 @@ def _remembered() -> Backend | None:
 
 
 def _remember(backend: Backend) -> None:
-    # Failing to write costs a second next time and is no reason to stop.
+    # Without the cache, the next process repeats the probe, which takes a second.
     with contextlib.suppress(OSError, RuntimeError):
         path = _cache_path()
         path.parent.mkdir(parents=True, exist_ok=True)

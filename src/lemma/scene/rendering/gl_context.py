@@ -1,13 +1,13 @@
 """The OpenGL context of this process, and the models uploaded to it.
 
-A process has one context, created by the first picture and lent to one thread at a
-time. Scenes are compiled anew at every reset, while what OpenGL holds of them (meshes,
-textures and the shapes of primitives) stays the same: so uploads are kept, and found
-again by comparing those assets, not by the identity of the model.
+A process has one context, which the first image creates and which one thread at a time
+uses. Every reset compiles a new model, but the assets in OpenGL (meshes, textures,
+shapes of primitives) are usually the same. So uploads are cached, and looked up by
+comparing these assets instead of the identity of the model.
 
-Mesa in software draws with as many threads as the process may use cores; a process of
-our worker pool draws in its own thread alone. To run many processes of your own on one
-machine, set ``LP_NUM_THREADS=0`` before the first picture; the pixels are the same.
+Software Mesa uses one thread per core that the process may use; workers of the pool
+draw in their own thread alone. If you run many processes on one machine, set
+``LP_NUM_THREADS=0`` before the first image; the pixels are the same.
 """
 
 import atexit
@@ -35,26 +35,26 @@ from lemma.scene.rendering.gl_backend import Backend, choose_backend, forget_bac
 logger = logging.getLogger(__name__)
 
 POOL_SIZE = 8
-"""Uploads kept. A benchmark has few: one per pair of arms and quality."""
+"""Number of cached uploads. A benchmark needs one per pair of arms and quality."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tessellation:
-    """How finely MuJoCo draws its primitives, and the size of its shadow map."""
+    """Resolution of MuJoCo's primitives and of its shadow map."""
 
     slices: int
     """Segments around cylinders, capsules and spheres."""
     stacks: int
     """Segments along them."""
     quads: int
-    """Squares along each edge of a box; light is computed at their corners."""
+    """Squares along each edge of a box; lighting is computed at their corners."""
     shadow_map_px: int = 0
     """Width and height of the shadow map; 0 draws no shadows."""
 
 
 @dataclass(eq=False, slots=True)
 class Upload:
-    """A model's assets in OpenGL, with an off-screen buffer to draw into."""
+    """A model's assets in OpenGL, with an off-screen buffer."""
 
     drawing: Any
     """The ``MjrContext``, or None after it was freed."""
@@ -64,13 +64,13 @@ class Upload:
 
 @dataclass(slots=True)
 class _Process:
-    """OpenGL in this process."""
+    """The state of OpenGL in this process."""
 
     pid: int
     backend: Backend
     context: Any
     depth: int = 0
-    """How many blocks of :func:`current_context` are open."""
+    """Number of open blocks of :func:`current_context`."""
     pool: list[Upload] = field(default_factory=list)
     """The uploads, most recently used last."""
 
@@ -83,8 +83,8 @@ _process: _Process | None = None
 def current_context() -> Iterator[Backend]:
     """Make the process's OpenGL context current in this thread, inside the block.
 
-    Other threads wait for the end of the block, so renderers may be used from any
-    thread. Blocks may be nested.
+    Other threads wait for the end of the block, so any thread may use renderers. Blocks
+    may be nested.
 
     Raises:
         RenderingError: No library works, or this process was forked from one that
@@ -105,11 +105,11 @@ def current_context() -> Iterator[Backend]:
 def upload(
     model: mujoco.MjModel, tessellation: Tessellation, width: int, height: int
 ) -> Upload:
-    """Return the model's assets in OpenGL; only inside :func:`current_context`.
+    """Return the model's assets in OpenGL. Call this inside :func:`current_context`.
 
     Args:
-        model: Its assets are copied: a later change to them is not seen.
-        tessellation: The detail to draw primitives with.
+        model: The model; later changes of its assets have no effect.
+        tessellation: Resolution of primitives and of the shadow map.
         width: Width of the off-screen buffer [px].
         height: Height of the off-screen buffer [px].
     """
@@ -135,15 +135,15 @@ def upload(
 def _draw_context(
     model: mujoco.MjModel, tessellation: Tessellation, width: int, height: int
 ) -> Any:
-    """Make an ``MjrContext`` without regard to the model's own visual quality."""
+    """Create an ``MjrContext``; ignore the model's own visual quality."""
     settings, buffer = model.vis.quality, model.vis.global_
     ours = {
         "numslices": tessellation.slices,
         "numstacks": tessellation.stacks,
         "numquads": tessellation.quads,
         "shadowsize": tessellation.shadow_map_px,
-        # One sample per pixel: depth has no meaning where samples are averaged, and
-        # in software a picture of twice the size costs less than four samples.
+        # One sample per pixel, because averaged depths are meaningless; in software, an
+        # image of twice the size also costs less than four samples.
         "offsamples": 0,
     }
     theirs = {name: getattr(settings, name) for name in ours}
@@ -158,7 +158,7 @@ def _draw_context(
             setattr(settings, name, value)
         buffer.offwidth, buffer.offheight = size
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
-    # Floats are densest near zero: with the far end there, depth is exact everywhere.
+    # Floats are densest near zero: with far at zero, depth is accurate everywhere.
     drawing.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
     return drawing
 
@@ -175,10 +175,10 @@ _ARRAYS = (
 
 
 def _assets(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-    """Return all that ``mjr_makeContext`` reads of a model, apart from its quality.
+    """Return the arrays that ``mjr_makeContext`` reads from a model, except quality.
 
-    Colors and sizes of primitives are no part of it: MuJoCo sends them with every
-    picture. Planes are, because each is cut into a grid of its own.
+    MuJoCo sends colors and sizes of primitives with every image, so they are not part
+    of it. Planes are, because each has a grid of its own.
     """
     assets = {name: getattr(model, name) for name in _ARRAYS}
     planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
@@ -209,7 +209,8 @@ def _this_process() -> _Process:
     global _process
     if _process is None:
         _process = _start()
-        # After the library's own, so run before it: contexts first, then the display.
+        # Registered after the library's own function, so that it runs first: contexts
+        # must be freed before the display.
         atexit.register(_stop)
         os.register_at_fork(after_in_child=_abandon)
     elif _process.pid != os.getpid():
@@ -226,11 +227,11 @@ def _start() -> _Process:
     backend = choose_backend()
     threads = 0 if is_worker() else usable_cores()
     settings = {
-        # Read by MuJoCo when it first loads OpenGL's functions.
+        # MuJoCo reads it when it first loads OpenGL's functions.
         "MUJOCO_GL": backend.name,
-        # Mesa counts the machine's cores, not those that this process may use.
+        # By default Mesa counts all cores, not only those that this process may use.
         "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS") or str(threads),
-        # MuJoCo sets it when it is unset; then child processes would inherit it.
+        # MuJoCo sets it if it is unset; child processes must not inherit that.
         "PYOPENGL_PLATFORM": os.environ.get("PYOPENGL_PLATFORM", ""),
     }
     messages: list[str] = []
@@ -254,7 +255,7 @@ def _start() -> _Process:
 
 
 def _load_functions() -> None:
-    """Let MuJoCo find OpenGL's functions, which it does once in a process."""
+    """Make MuJoCo load OpenGL's functions, which it does once per process."""
     spec = mujoco.MjSpec()
     spec.visual.quality.shadowsize = 0
     spec.visual.global_.offwidth = spec.visual.global_.offheight = 32
@@ -262,7 +263,7 @@ def _load_functions() -> None:
 
 
 def _release(name: str, context: Any) -> None:
-    """Leave no context current in this thread, so that another one may take it."""
+    """Release the context in this thread, so that another thread can use it."""
     module = sys.modules[f"mujoco.{name}"]
     if name == "egl":
         egl, nothing = module.EGL, module.EGL.EGL_NO_SURFACE
@@ -272,13 +273,13 @@ def _release(name: str, context: Any) -> None:
     elif name == "glfw":
         module.glfw.make_context_current(None)
     elif name == "cgl":
-        # MuJoCo's make_current also takes this lock, and never gives it back.
+        # MuJoCo's make_current acquires this lock and does not release it.
         module.cgl.CGLUnlockContext(context._context)
         module.cgl.CGLSetCurrentContext(None)
 
 
 def _stop() -> None:
-    """Free everything while the library is still there."""
+    """Free all contexts while the library is still loaded."""
     process = _process
     if process is None or process.pid != os.getpid():
         return
@@ -291,11 +292,11 @@ def _stop() -> None:
 
 
 def _abandon() -> None:
-    """In a forked child: never touch, nor ever free, what belongs to the parent."""
+    """In a forked child: neither use nor free the parent's context."""
     global _lock
     _lock = threading.RLock()
     if _process is not None:
-        # Both would wait for OpenGL's threads, which the child does not have.
+        # Both would wait for OpenGL's threads, which do not exist in the child.
         if _process.backend.name == "egl":
             atexit.unregister(sys.modules["mujoco.egl"].EGL.eglTerminate)
         for held in (_process.context, *(upload.drawing for upload in _process.pool)):
@@ -304,7 +305,7 @@ def _abandon() -> None:
 
 @contextlib.contextmanager
 def _environment(settings: dict[str, str]) -> Iterator[None]:
-    """Set environment variables inside the block; an empty value unsets."""
+    """Set environment variables inside the block; an empty value unsets one."""
     before = {name: os.environ.get(name) for name in settings}
     try:
         for name, value in settings.items():
@@ -323,9 +324,9 @@ def _environment(settings: dict[str, str]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _silence(messages: list[str]) -> Iterator[None]:
-    """Collect what C libraries print to the error stream inside the block.
+    """Collect the output of C libraries to the error stream inside the block.
 
-    Drivers complain about every device that they cannot use before one that they can.
+    Drivers print messages about every device that they cannot use.
     """
     with contextlib.ExitStack() as opened:
         try:

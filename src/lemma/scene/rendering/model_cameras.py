@@ -1,6 +1,6 @@
-"""The cameras of a MuJoCo scene: added to it, and read from it with calibration.
+"""Adds cameras to a MuJoCo scene, and returns its cameras with calibration.
 
-MuJoCo's camera frames have y up and z backward; ours are those of
+MuJoCo's camera frames have y up and z backward; calibrated cameras have the frames of
 :mod:`lemma.scene.cameras`.
 """
 
@@ -13,19 +13,19 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose, quaternion_from_matrix
 from lemma.scene.cameras import Camera, CameraIntrinsics
 
-# OpenCV's camera frame in MuJoCo's, and the reverse: half a turn about x.
+# Half a turn about x converts between the camera frames of OpenCV and MuJoCo.
 _FLIP = np.array([1.0, -1.0, -1.0])
 
 
 def add_camera(
     spec: mujoco.MjSpec, name: str, world_from_camera: Pose, fovy_rad: float
 ) -> None:
-    """Add a fixed camera to a scene that is being composed.
+    """Add a fixed camera to a scene.
 
     Args:
-        spec: The scene.
+        spec: The MuJoCo specification of the scene.
         name: The camera's name.
-        world_from_camera: Where it is; x right, y down, z forward.
+        world_from_camera: World from camera; x right, y down, z forward.
         fovy_rad: Vertical field of view [rad].
     """
     rotation = world_from_camera.matrix()[:3, :3] * _FLIP
@@ -33,7 +33,7 @@ def add_camera(
         name=name,
         pos=world_from_camera.position,
         quat=quaternion_from_matrix(rotation),
-        # In degrees whatever the unit of angles in the rest of the scene.
+        # Always in degrees, independent of the scene's unit of angles.
         fovy=math.degrees(fovy_rad),
     )
 
@@ -41,18 +41,18 @@ def add_camera(
 def camera_from_model(
     model: mujoco.MjModel, data: mujoco.MjData, name: str, width: int, height: int
 ) -> Camera:
-    """Return a camera of a compiled scene, where it is now.
+    """Return a camera of a compiled scene at its present pose.
 
     Args:
         model: The scene.
-        data: Its state, with derived poses up to date (``mj_forward``).
+        data: Its state, with up-to-date derived poses (``mj_forward``).
         name: The camera's name.
         width: Image width [px].
         height: Image height [px].
 
     Raises:
         UnknownNameError: The scene has no such camera.
-        InvalidConfigError: It is no perspective camera given by a field of view.
+        InvalidConfigError: The camera is orthographic or has a sensor size.
     """
     index = camera_index(model, name)
     if model.cam_sensorsize[index].any() or model.cam_projection[index]:
@@ -69,7 +69,7 @@ def camera_from_model(
 
 
 def camera_index(model: mujoco.MjModel, name: str) -> int:
-    """Return the number of a camera in a model.
+    """Return the index of a camera in a model.
 
     Raises:
         UnknownNameError: The scene has no such camera.

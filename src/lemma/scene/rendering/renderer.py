@@ -1,4 +1,4 @@
-"""Pictures of a scene: for robots (color and depth, fast) and for people (pretty)."""
+"""Renders scenes: fast color and depth images for robots, fine images for viewers."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -22,17 +22,17 @@ from lemma.scene.rendering.model_cameras import camera_from_model, camera_index
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 _NEAR_M = 0.02
-"""Near plane of a calibrated camera. Small, because fingers are near wrist cameras."""
+"""Near plane of calibrated cameras; small, because fingers are near wrist cameras."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How much work goes into a picture."""
+    """Settings of image quality."""
 
     tessellation: Tessellation
-    """How finely primitives are drawn, and the shadow map."""
+    """Resolution of primitives and of the shadow map."""
     oversampling: int = 1
-    """Pixels rendered along each side of a pixel, then averaged."""
+    """Samples along each side of a pixel, which are averaged."""
     scenery: bool = False
     """Whether to draw sky, haze and reflections."""
 
@@ -58,23 +58,23 @@ QUALITIES.add(
 
 
 class Renderer:
-    """Renders any number of scenes, one after the other, off screen.
+    """Renders any number of scenes off screen, one after the other.
 
-    Make one and keep it: changing to a scene that was compiled anew costs little, as
-    long as its meshes and textures are the same.
+    Create one and reuse it: the switch to another compiled scene is fast if its meshes
+    and textures are the same.
     """
 
     def __init__(
         self, width: int = 640, height: int = 480, quality: str = "sensor"
     ) -> None:
-        """Prepare; OpenGL is started by the first picture.
+        """Set size and quality of images; the first image starts OpenGL.
 
         Args:
-            width: Width of every picture [px].
-            height: Height of every picture [px].
-            quality: A name in :data:`QUALITIES`: ``sensor`` is fast and has hard
-                edges and no shadows; ``video`` has shadows and soft edges, at some
-                8 times the cost; ``presentation`` is for print, at 30 times.
+            width: Width of every image [px].
+            height: Height of every image [px].
+            quality: A name in :data:`QUALITIES`: ``sensor`` is fast, with hard edges
+                and without shadows; ``video`` has shadows and soft edges, at about
+                8 times the cost; ``presentation`` is for print, at 30 times the cost.
 
         Raises:
             InvalidConfigError: The size is impossible.
@@ -100,24 +100,24 @@ class Renderer:
     ) -> CameraImage:
         """Render color and depth of a camera, in one pass.
 
-        Transparent things (alpha below 1) have color but no depth.
+        Transparent geoms (alpha below 1) have color but no depth.
 
         Args:
             model: The scene.
-            data: Its state, with derived poses up to date (``mj_forward``).
-            camera: Its name in the scene, or a calibrated camera of this size, which
-                sees from 2 cm on.
+            data: Its state, with up-to-date derived poses (``mj_forward``).
+            camera: Its name in the scene, or a calibrated camera of this size, whose
+                near plane is at 2 cm.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            InvalidConfigError: This quality averages pixels, and depths have no mean;
-                or the camera makes images of another size.
+            InvalidConfigError: The quality has oversampling, or the camera has another
+                image size.
             RenderingError: OpenGL does not work here.
         """
         if self.quality.oversampling != 1:
             raise InvalidConfigError(
                 "Depth cannot be rendered with oversampling: the mean of two depths "
-                "is where nothing is. Use Renderer(quality='sensor')."
+                "is not the depth of a surface. Use Renderer(quality='sensor')."
             )
         size = (self.width, self.height)
         calibrated = (
@@ -145,13 +145,13 @@ class Renderer:
 
         Args:
             model: The scene.
-            data: Its state, with derived poses up to date (``mj_forward``).
+            data: Its state, with up-to-date derived poses (``mj_forward``).
             view: A camera's name in the scene, a calibrated camera of this size, or a
                 free camera.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            InvalidConfigError: The camera makes images of another size.
+            InvalidConfigError: The camera has another image size.
             RenderingError: OpenGL does not work here.
         """
         if isinstance(view, Camera):
@@ -169,19 +169,19 @@ class Renderer:
         data: mujoco.MjData,
         view: str | Camera | FreeCamera,
     ) -> NDArray[np.int32]:
-        """Render which geom each pixel sees, shape (height, width); -1: none.
+        """Render the index of the geom in each pixel, shape (height, width); -1: none.
 
-        ``model.geom_bodyid`` turns geoms into bodies.
+        ``model.geom_bodyid`` has the body of each geom.
 
         Args:
             model: The scene.
-            data: Its state, with derived poses up to date (``mj_forward``).
+            data: Its state, with up-to-date derived poses (``mj_forward``).
             view: A camera's name in the scene, a calibrated camera of this size, or a
                 free camera.
 
         Raises:
             UnknownNameError: The scene has no such camera.
-            InvalidConfigError: The camera makes images of another size.
+            InvalidConfigError: The camera has another image size.
             RenderingError: OpenGL does not work here.
         """
         if isinstance(view, Camera):
@@ -199,14 +199,14 @@ class Renderer:
         return _upright(geom_of[number])
 
     def close(self) -> None:
-        """Forget the last scene; the renderer can still be used afterwards."""
+        """Free the last scene; the renderer can still be used afterwards."""
         self._model = self._scene = self._upload = None
 
     def _check_size(self, camera: Camera) -> None:
-        """Check that a camera makes images of this size.
+        """Check the image size of a camera.
 
         Raises:
-            InvalidConfigError: It does not.
+            InvalidConfigError: It differs from that of this renderer.
         """
         lens = camera.intrinsics
         if (lens.width, lens.height) != (self.width, self.height):
@@ -225,7 +225,7 @@ class Renderer:
         *,
         segment: bool = False,
     ) -> mujoco.MjvScene:
-        """Render into arrays whose first row is the bottom of the picture."""
+        """Render into arrays whose first row is the bottom of the image."""
         fovy_deg = self._aim(model, view)
         height, width = rgb.shape[:2]
         with current_context():
@@ -249,7 +249,7 @@ class Renderer:
             if isinstance(view, Camera):
                 _place(scene, view)
             area = mujoco.MjrRect(0, 0, width, height)
-            # Several uploads share one context, each with a buffer of its own.
+            # Uploads share one context, but each has its own buffer.
             mujoco.mjr_resizeOffscreen(width, height, drawing)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawing)
             mujoco.mjr_render(area, scene, drawing)
@@ -259,7 +259,7 @@ class Renderer:
     def _aim(
         self, model: mujoco.MjModel, view: str | Camera | FreeCamera
     ) -> float | None:
-        """Point MuJoCo's camera; return a field of view [deg] unlike the scene's."""
+        """Set MuJoCo's camera; return its field of view [deg], None for the scene's."""
         aim = self._view
         if isinstance(view, str):
             aim.type = mujoco.mjtCamera.mjCAMERA_FIXED.value
@@ -276,9 +276,9 @@ class Renderer:
     def _prepare(
         self, model: mujoco.MjModel, width: int, height: int
     ) -> tuple[mujoco.MjvScene, mujoco.MjrContext]:
-        """Return what a scene is drawn with; only inside ``current_context``."""
+        """Return scene and context to draw with; only inside ``current_context``."""
         if self._scene is None or self._model is not model:
-            # Sites and decoration are hidden: only geoms need room.
+            # Sites and decoration are hidden, so only geoms need memory.
             self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 16)
             flags = self._scene.flags
             flags[mujoco.mjtRndFlag.mjRND_SHADOW] = (
@@ -296,7 +296,7 @@ class Renderer:
 
 
 def _place(scene: mujoco.MjvScene, camera: Camera) -> None:
-    """Look with a calibrated camera: square pixels, and the middle in the middle."""
+    """Set a calibrated camera with square pixels and a centred principal point."""
     matrix = camera.world_from_camera.matrix()
     half = _NEAR_M * np.tan(0.5 * camera.intrinsics.fovy_rad)
     for gl_camera in scene.camera:
@@ -308,14 +308,14 @@ def _place(scene: mujoco.MjvScene, camera: Camera) -> None:
 
 
 def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthImage:
-    """Turn MuJoCo's depth buffer into distances along the view axis.
+    """Convert MuJoCo's depth buffer to distances along the view axis.
 
     MuJoCo draws with reversed depth (``setView`` in its ``render_gl3.c``): with
     ``readDepthMap = mjDEPTH_ZEROFAR`` a point at distance z reads
 
         d = (near / z) (far - z) / (far - near),
 
-    1 at the near plane and 0 at the far plane; solved for z below.
+    which is 1 at the near plane and 0 at the far plane. This function solves it for z.
 
     Args:
         buffer: Depth as ``mjr_readPixels`` returns it.
@@ -323,7 +323,7 @@ def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthI
         far_m: Far clipping plane [m].
 
     Returns:
-        Depth [m], same shape; 0 where nothing was drawn.
+        Depth [m], same shape; 0 where there is no surface.
     """
     depth = np.multiply(buffer, np.float32(far_m - near_m))
     depth += np.float32(near_m)
@@ -333,7 +333,7 @@ def depth_from_buffer(buffer: DepthImage, near_m: float, far_m: float) -> DepthI
 
 
 def _visible() -> mujoco.MjvOption:
-    """Return options that show the visual geoms (groups 0 to 2) and nothing else."""
+    """Return options that show visual geoms (groups 0 to 2) only."""
     options = mujoco.MjvOption()
     for group in (
         *(options.sitegroup, options.jointgroup, options.tendongroup),

@@ -1,4 +1,4 @@
-"""MuJoCo's own viewer, for ``render_mode="human"``, where there is a display."""
+"""MuJoCo's viewer for ``render_mode="human"``, which needs a display."""
 
 import os
 import sys
@@ -19,10 +19,10 @@ _INSTEAD = (
 
 
 class Window:
-    """A window that shows one scene after another, at real time."""
+    """A window that shows one scene after another in real time."""
 
     def __init__(self) -> None:
-        """Check that there is somewhere to open it.
+        """Check for a display.
 
         Raises:
             RenderingError: There is no display.
@@ -40,7 +40,7 @@ class Window:
         self._at = (0.0, 0.0)
 
     def show(self, scene: Scene) -> None:
-        """Open it for a scene, which it reads and does not change.
+        """Open the window for a scene, which does not change.
 
         Raises:
             RenderingError: No window can be opened.
@@ -53,7 +53,7 @@ class Window:
                 scene.model, scene.data, show_left_ui=False, show_right_ui=False
             )
         except Exception as error:
-            # Of GLFW, of the driver, or of macOS, which asks for mjpython.
+            # Errors of GLFW, of the driver, or of macOS, which requires mjpython.
             raise RenderingError(
                 f'render_mode="human" could not open a window: {error} {_INSTEAD}'
             ) from error
@@ -62,10 +62,10 @@ class Window:
         self._shown_s = scene.time_s
 
     def follow(self, scene: Scene) -> None:
-        """Show the present moment if its time has come, not earlier than it would.
+        """Show the present state if a frame is due; wait if the simulation is ahead.
 
         Args:
-            scene: The one that was shown.
+            scene: The scene of :meth:`show`.
         """
         now_s = scene.time_s
         if self._handle is None or now_s - self._shown_s < _FRAME_S:
@@ -76,16 +76,16 @@ class Window:
         if ahead_s > 0.0:
             time.sleep(ahead_s)
         else:
-            # After a pause between two steps, do not catch up.
+            # After a pause between two steps, real time starts again from here.
             self._at = (time.perf_counter(), now_s)
         if self._handle.is_running():
             self._handle.sync()
 
     def close(self) -> None:
-        """Close the window, if it is open."""
+        """Close the window if it is open."""
         if self._handle is not None:
             self._handle.close()
             self._handle = None
-            # A process that ends before the window is gone crashes.
+            # A process that ends before the window is closed crashes.
             for thread in self._threads:
                 thread.join(_CLOSE_S)

@@ -1,1 +1,1 @@
-"""Instructions: templates, and banks of them."""
+"""Instructions: templates and template banks."""

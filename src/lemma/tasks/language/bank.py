@@ -1,4 +1,4 @@
-"""Instructions: the goal in words, in many ways.
+"""Instructions: sentences that express goals, and sub-instructions.
 
 The templates of the built-in tasks are the TOML files in ``templates/``: one
 high-level, ten human and ten unseen ones per task, and one line per primitive for
@@ -41,12 +41,12 @@ _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
 _LADDER = ("hand_over_cube", "cube_in_hand", "cube_on_pad_alone")
 _UNSEEN_BY_MODELS = (*_LADDER, *FAMILIES)
-"""The ladder's own rungs and teams; no published model has been trained on them."""
+"""Tasks of the ladder and of teams on which no published model has been trained."""
 _PAPER_LINES = (
     *("move", "move_to_shared", "prehook", "hook", "prepoke", "poke", "stop"),
 )
 _BESIDE_M = 0.1
-"""Robots that are counted from the left are at least so far apart along x."""
+"""Smallest distance along x between robots that are counted from the left."""
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 
 
@@ -54,15 +54,15 @@ _added: dict[str, LanguageBank] = {}
 
 
 def add_bank(task: str, bank: LanguageBank) -> None:
-    """Keep the templates of a task that is registered."""
+    """Store the templates of a registered task."""
     _added[task] = bank
 
 
 def bank_for(task: str) -> LanguageBank:
-    """Return the templates of a task: a built-in one, or one that is registered.
+    """Return the templates of a built-in or registered task.
 
     Raises:
-        UnknownNameError: No task has that name.
+        UnknownNameError: No such task.
     """
     if task in _added:
         return _added[task]
@@ -73,41 +73,51 @@ def bank_for(task: str) -> LanguageBank:
 
 
 def templates(task: str, kind: str) -> tuple[Template, ...]:
-    """Return the templates of one kind of a task."""
+    """Return the templates of a task for one kind of instruction.
+
+    Raises:
+        UnknownNameError: No such task or kind.
+    """
     return bank_for(task).templates(kind)
 
 
 def instruct(
     task: str, kind: str, goal_pairs: GoalPairs, rng: np.random.Generator
 ) -> str:
-    """Draw a template of a task and render it.
+    """Draw a random template of a task and render it.
 
     Args:
         task: Name of the task.
         kind: One of :data:`KINDS`.
         goal_pairs: The (top, bottom) entities of the goal.
-        rng: Where the draw comes from; one integer is drawn.
+        rng: Random generator; one integer is drawn.
+
+    Raises:
+        UnknownNameError: No such task or kind.
+        InvalidConfigError: The goal has another form than the templates.
     """
     return bank_for(task).instruct(kind, goal_pairs, rng)
 
 
 def parse(sentence: str) -> frozenset[tuple[str, str]] | None:
-    """Return the one goal that a sentence of a built-in task asks for.
+    """Return the goal of a sentence of a built-in task.
 
     Returns:
-        The (top, bottom) pairs; None if no template says the sentence.
+        The (top, bottom) pairs; None if no template matches the sentence, or several
+        match with different goals.
     """
     banks = _banks((*_FAMILIES, *_UNSEEN_BY_MODELS))
     return only_goal([t for name in banks for t in banks[name]], sentence)
 
 
 def phrase(entity: str) -> str:
-    """Return how sub-instructions name an entity: ``"red cube"``, ``"yellow stick"``.
+    """Return the phrase for an entity or region in sub-instructions.
 
-    The region of two robots of a larger team is the ``"space of robots 0 and 1"``.
+    Examples are ``"red cube"``, ``"shared space"``, and ``"space of robots 0 and 1"``
+    for the region of a pair in a larger team.
 
     Raises:
-        UnknownNameError: No entity, and no region.
+        UnknownNameError: No such entity or region.
     """
     if not is_region(entity):
         return entity_named(entity).phrase
@@ -116,7 +126,7 @@ def phrase(entity: str) -> str:
 
 
 def say_pair(top: str, bottom: str) -> str:
-    """Return a predicate of a goal in words: ``"the red cube on the white pad"``."""
+    """Return a predicate as text, such as ``"the red cube on the white pad"``."""
     if top == HAND:
         return f"a hand over the {phrase(bottom)}"
     if bottom == HAND:
@@ -125,10 +135,10 @@ def say_pair(top: str, bottom: str) -> str:
 
 
 def rule_templates(rule: str, kind: str) -> tuple[str, ...]:
-    """Return the sentences that say a kind of rule, for a kind of instruction.
+    """Return the templates of a kind of rule, for a kind of instruction.
 
-    Slots are those of :meth:`.Rule.words`, and ``{goal}`` for what shall be true; one
-    without it says that as well.
+    Slots are those of :meth:`.Rule.words`, and ``{goal}`` for the sentence of the goal;
+    a template without ``{goal}`` expresses the goal itself.
     """
     return tuple(_read("rules")[rule][kind])
 
@@ -140,14 +150,14 @@ def say_rule(
     robots: Sequence[RobotPlacement],
     rng: np.random.Generator,
 ) -> str:
-    """Draw a sentence that says a rule, with one that says what shall be true.
+    """Draw a random sentence that expresses a goal and its rule.
 
     Args:
         rule: The rule.
         kind: One of :data:`KINDS`.
-        goal: The sentence without the rule.
+        goal: The sentence of the goal without the rule.
         robots: The team.
-        rng: Where the draw comes from; one integer is drawn.
+        rng: Random generator; one integer is drawn.
     """
     candidates = rule_templates(rule.kind, kind)
     chosen = candidates[int(rng.integers(len(candidates)))]
@@ -156,19 +166,20 @@ def say_rule(
 
 
 def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
-    """Return one distinct name for each robot of a team, by where they stand.
+    """Return a distinct phrase for each robot of a team, by color and position.
 
     Args:
         robots: The team.
 
     Returns:
-        ``("red robot", "white robot")``; two of one color become ``"left white
-        robot"`` and ``"right white robot"``, as the top-down map shows them (left is
-        at -x), or ``"lower"`` and ``"upper"`` where they stand rather along y; more are
-        counted from the left.
+        Phrases such as ``"red robot"``. Two robots of one color are ``"left white
+        robot"`` and ``"right white robot"`` as on the top-down map (left is at -x), or
+        ``"lower"`` and ``"upper"`` if their distance along y is larger. Three or more
+        are counted from the left.
 
     Raises:
-        InvalidConfigError: Of three or more of one color, two stand equally far left.
+        InvalidConfigError: Of three or more robots of one color, two are equally far
+            left, or there are too many to count.
     """
     names = [f"{robot.color} robot" for robot in robots]
     for color in dict.fromkeys(robot.color for robot in robots):
@@ -181,7 +192,7 @@ def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
 
 
 def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
-    """Return :func:`robot_phrases` of a team of which only the order is known.
+    """Return :func:`robot_phrases` of a team with known order and unknown positions.
 
     Args:
         colors: Colors of the robots, from left to right.
@@ -192,7 +203,7 @@ def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _position_words(bases: Sequence[Pose2], color: str) -> dict[int, str]:
-    """Return the words that tell robots of one color from each other, by number."""
+    """Return the words that distinguish robots of one color, by index."""
     order = sorted(range(len(bases)), key=lambda i: bases[i].x)
     words: Sequence[str] = _ORDINALS
     if len(bases) == 2:
@@ -214,15 +225,14 @@ def _position_words(bases: Sequence[Pose2], color: str) -> dict[int, str]:
 def sub_instruction(
     robot: str, primitive: str, pick: str | None = None, place: str | None = None
 ) -> str:
-    """Return a sub-task in words: ``"red robot: hook the blue cube with ..."``.
+    """Return a sub-task as text, such as ``"red robot: hook the blue cube with ..."``.
 
     Args:
         robot: The robot's phrase, from :func:`robot_phrases`.
-        primitive: One of :class:`~lemma.tasks.subtask.Primitive`, or one that was
-            added.
-        pick: Entity that is picked; for hook and poke the stick or the cube.
-        place: Entity where it goes; for hook and poke pick and place together name
-            exactly one cube.
+        primitive: Name of a :class:`~lemma.tasks.subtask.Primitive`, also an added one.
+        pick: Entity to pick; for hook and poke the stick or the cube.
+        place: Entity or region to place it on. For hook and poke, exactly one of pick
+            and place is a cube.
 
     Raises:
         UnknownNameError: No such primitive or entity.
@@ -261,10 +271,10 @@ def words(sentence: str) -> tuple[str, ...]:
 
 
 def vocabulary() -> tuple[str, ...]:
-    """Return every word that training sees, sorted.
+    """Return all words in training data, sorted.
 
-    High-level and human instructions and sub-instructions of the paper's tasks;
-    words that occur only in unseen templates are left out.
+    These are the words of high-level and human instructions and of sub-instructions of
+    the paper's tasks, without words that occur only in unseen templates.
     """
     said = (_sub_instructions()[name] for name in _PAPER_LINES)
     lines = [*said, *map(phrase, ENTITIES), phrase(SHARED)]

@@ -1,8 +1,8 @@
-"""Blind instructions: for evaluation alone, read by nothing that learns.
+"""Blind instructions, for evaluation alone; no training uses them.
 
-Their author had read none of this project's templates, rules or results. They are kept
-as the author wrote them, apart from the templates of the other kinds, and compressed,
-so that no search through the sources shows them to developers of a reader.
+Their author had not read this project's templates, rules or results. They are stored as
+the author wrote them, separate from the templates of other kinds, and compressed, so
+that developers of a language model do not find them by text search.
 """
 
 import gzip
@@ -32,7 +32,7 @@ _BOTTOMS = {"on_pad": "pad", "on_cube": "cube"}
 
 
 def has_blind(task: str, split: str) -> bool:
-    """Return whether instances have blind instructions: the suite's, for evaluation.
+    """Return whether instances of a task and split have blind instructions.
 
     Args:
         task: Name of the task.
@@ -42,7 +42,7 @@ def has_blind(task: str, split: str) -> bool:
 
 
 def check_blind(task: str, split: str) -> None:
-    """Check that instances have blind instructions.
+    """Check that instances of a task and split have blind instructions.
 
     Raises:
         InvalidConfigError: They have none.
@@ -57,7 +57,7 @@ def check_blind(task: str, split: str) -> None:
 
 
 def kinds_of(tasks: Iterable[str], split: str) -> tuple[str, ...]:
-    """Return the kinds of instructions that instances of all the tasks have.
+    """Return the kinds of instructions that all given tasks have in a split.
 
     Args:
         tasks: Names of tasks.
@@ -68,19 +68,19 @@ def kinds_of(tasks: Iterable[str], split: str) -> tuple[str, ...]:
 
 
 def blind_templates(task: str) -> tuple[Template, ...]:
-    """Return the blind templates of a task of the suite.
+    """Return the blind templates of a task.
 
     Args:
-        task: Name of the task.
+        task: Name of a task with blind instructions.
     """
     return tuple(map(_template, _as_written()[task]))
 
 
 def instruction(instance: Instance, kind: str) -> str:
-    """Return the sentence of one kind that an instance is asked for with.
+    """Return the instruction of one kind of an instance.
 
-    A blind one is drawn when it is asked for, from its own random stream. It is no part
-    of the instance's data, so that other templates leave all digests as they are.
+    A blind instruction is drawn on demand from its own random stream. It is not part of
+    the instance's data, so that its templates do not affect any digest.
 
     Args:
         instance: The problem.
@@ -109,10 +109,10 @@ def _drawn(key: tuple[str, str, str, int], goal_pairs: GoalPairs) -> str:
 
 
 def _template(written: dict[str, Any]) -> Template:
-    """Return a template whose slots are written as ours.
+    """Convert a template of the author's format.
 
-    The author's ``{pick}`` and ``{place}`` are the colors of what goes on top and of
-    what is below; ``goal`` has a triple of them and their relation for each ``On``.
+    The author's ``{pick}`` and ``{place}`` are the colors of the upper and the lower
+    object; ``goal`` has a triple of both and their relation for each ``On``.
     """
 
     def slot(found: re.Match[str]) -> str:
@@ -123,13 +123,13 @@ def _template(written: dict[str, Any]) -> Template:
 
 
 def author_sha256() -> str:
-    """Return the SHA-256 of what the author wrote, which fixes all drawn sentences."""
+    """Return the SHA-256 of the author's templates, which determine all sentences."""
     return hashlib.sha256(_file()).hexdigest()
 
 
 @lru_cache(maxsize=1)
 def _as_written() -> dict[str, list[dict[str, Any]]]:
-    """Return what the author wrote, by task."""
+    """Return the author's templates by task."""
     found: dict[str, list[dict[str, Any]]] = json.loads(_file())
     return found
 

@@ -1,4 +1,4 @@
-"""Sentences with slots for the roles of a goal, and banks of them.
+"""Templates of instructions, with slots for the roles of a goal, and template banks.
 
 A goal is a conjunction of ``On(top, bottom)``. Rendering a template fills its slots
 with the goal's entities; parsing is the exact inverse.
@@ -7,7 +7,6 @@ with the goal's entities; parsing is the exact inverse.
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -16,31 +15,35 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
+from lemma.tasks.language.slots import (
+    SLOT,
+    bare,
+    colored_nouns,
+    is_of_one_color,
+    pattern_of,
+)
 
 GoalPairs = tuple[tuple[str, str], ...]
-"""One ``(top, bottom)`` pair of entity names for each predicate of a goal; one of them
-may be the hand, see :mod:`lemma.tasks.goal`."""
+"""A ``(top, bottom)`` pair of entity names for each predicate of a goal; either may be
+``"hand"``, see :mod:`lemma.tasks.goal`."""
 
 KindPairs = tuple[tuple[str, str], ...]
-"""The entity kinds of ``(top, bottom)``, for each predicate of a goal. Templates have
-no slot for the hand, nor need they have one for a kind of one color, or for a role that
-stands for an earlier one: ``(("cube", "pad"), ("plank", "top1"))``."""
+"""A ``(top, bottom)`` pair of entity kinds for each predicate of a goal. Templates have
+no slot for the gripper, for a kind of a single color, and for an entry that is an
+earlier role, such as ``"top1"`` in ``(("cube", "pad"), ("plank", "top1"))``."""
 
 KINDS = ("high_level", "human", "unseen")
-"""Kinds of instructions that every instance carries and every recipe records;
-``unseen`` ones are held out of training."""
+"""Kinds of instructions in every instance and every recipe; ``unseen`` ones are held
+out of training."""
 
 BLIND = "blind"
-"""The kind that is for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
+"""The kind for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
 
 EVALUATION_KINDS = (*KINDS, BLIND)
-"""Kinds of instructions that a policy may be given."""
+"""Kinds of instructions for evaluation."""
 
 MAX_CHARACTERS = 200
-"""Longest sentence that a template may render to."""
-
-SLOT = re.compile(r"\{(?P<role>(?:top|bottom)[1-9]?)(?:\.(?P<part>color|kind))?\}")
-"""A slot: a role, alone or with the part of the entity that is said."""
+"""Largest length of a rendered sentence."""
 
 _ROLE = re.compile(r"(?:top|bottom)[1-9]")
 _SLOT_HELP = (
@@ -52,19 +55,19 @@ _SLOT_HELP = (
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A sentence with slots for the roles of a goal; validated when made."""
+    """A sentence with slots for the roles of a goal.
+
+    Raises:
+        InvalidConfigError: The text is not a usable template.
+    """
 
     text: str
-    """The sentence: ``"Place the {top} on the {bottom.color} circle"``."""
+    """The sentence, such as ``"Place the {top} on the {bottom.color} circle"``."""
     entity_kinds: KindPairs | None = None
-    """Kinds of (top, bottom) per conjunct; None: as the slots of the text say."""
+    """Kinds of (top, bottom) per conjunct; None if slots of the text have the kinds."""
 
     def __post_init__(self) -> None:
-        """Check slots, characters and length.
-
-        Raises:
-            InvalidConfigError: The text is not a usable template.
-        """
+        """Check slots, characters and length."""
         self._check_text()
         for number, kinds in enumerate(self.entity_kinds or (), 1):
             if any(_ROLE.fullmatch(k) and int(k[-1]) >= number for k in kinds):
@@ -82,13 +85,17 @@ class Template:
     def from_string(
         cls, text: str, entity_kinds: Sequence[Sequence[str]] | None = None
     ) -> Self:
-        """Make a template from plain data.
+        """Create a template from plain data.
 
         Args:
             text: The sentence with its slots.
-            entity_kinds: ``[["cube", "pad"]]``: kinds of top and bottom, for each
-                conjunct. Needed where the text says ``{top.color} block`` and not
-                ``{top}`` or ``{top.kind}``.
+            entity_kinds: Kinds of top and bottom for each conjunct, such as
+                ``[["cube", "pad"]]``. Required if the text has only the color of a
+                role, as in ``{top.color} block``.
+
+        Raises:
+            InvalidConfigError: The text is not a usable template, or the kinds are not
+                pairs.
         """
         if entity_kinds is None:
             return cls(text)
@@ -101,24 +108,25 @@ class Template:
 
     @property
     def roles(self) -> tuple[tuple[str, str], ...]:
-        """The names of the (top, bottom) roles, for each conjunct of the goal."""
+        """Names of the (top, bottom) roles for each conjunct of the goal."""
         found = {slot["role"] for slot in SLOT.finditer(self.text)}
         if found <= {"top", "bottom"}:
             return (("top", "bottom"),)
         count = max(int(role[-1]) for role in found if role[-1].isdigit())
         for kinds in (self.entity_kinds or ())[count:]:
-            count += all(kind in found or _is_of_one_color(kind) for kind in kinds)
+            count += all(kind in found or is_of_one_color(kind) for kind in kinds)
         return tuple((f"top{n}", f"bottom{n}") for n in range(1, count + 1))
 
     def render(self, goal_pairs: GoalPairs) -> str:
-        """Return the sentence that asks for a goal.
+        """Return the sentence of a goal.
 
         Args:
-            goal_pairs: ``(("red_cube", "white_pad"), ...)``, in the order of the
-                numbered roles.
+            goal_pairs: Names such as ``(("red_cube", "white_pad"), ...)``, in the order
+                of the numbered roles.
 
         Raises:
-            InvalidConfigError: The goal has another shape than the template.
+            InvalidConfigError: The goal has another number of conjuncts, or other
+                kinds, than the template.
         """
         if len(goal_pairs) != len(self.roles):
             raise self._error(
@@ -150,14 +158,15 @@ class Template:
         return SLOT.sub(fill, self.text)
 
     def parse(self, sentence: str) -> frozenset[tuple[str, str]] | None:
-        """Return the goal of a sentence, or None if the template cannot say it.
+        """Return the goal of a sentence, or None if the template does not match.
 
-        Letter case and the final punctuation are ignored. Things that come in one color
-        only are found where ``entity_kinds`` names them.
+        Letter case and final punctuation are ignored. Entities of kinds with a single
+        color are recognized if ``entity_kinds`` has their kind.
         """
-        nouns = _nouns()
-        pattern = _pattern(self, tuple(OBJECT_COLORS), tuple(nouns))
-        match = pattern.fullmatch(_bare(sentence))
+        nouns = colored_nouns()
+        kinds = tuple((role, self._kind(role)) for pair in self.roles for role in pair)
+        pattern = pattern_of(self.text, kinds, tuple(OBJECT_COLORS), tuple(nouns))
+        match = pattern.fullmatch(bare(sentence))
         if match is None:
             return None
         said = {name: word.lower() for name, word in match.groupdict().items()}
@@ -174,8 +183,8 @@ class Template:
     def wording(self) -> str:
         """Return the text without case, punctuation and colors.
 
-        Two templates with one wording are the same template, however their slots
-        are written.
+        Templates with equal wordings are duplicates, even if their slots are written
+        differently.
         """
         filled = SLOT.sub(lambda slot: self._fill(slot, "*", "*"), self.text)
         return re.sub(r"[^a-z*]+", " ", filled.lower()).strip()
@@ -194,7 +203,7 @@ class Template:
     def _said(self, role: str) -> str:
         """Return what tells a role in a sentence: a role with a slot, or a kind."""
         role, kind = self._resolved(role)
-        return kind if kind is not None and _is_of_one_color(kind) else role
+        return kind if kind is not None and is_of_one_color(kind) else role
 
     def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
         kind = self._kind(slot["role"])
@@ -208,7 +217,7 @@ class Template:
         role, kind = self._resolved(role)
         if kind == HAND:
             return HAND
-        if kind is not None and _is_of_one_color(kind):
+        if kind is not None and is_of_one_color(kind):
             return Entity("", OBJECT_KINDS[kind]).name
         record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
         return Entity(said[f"{role}_color"], record).name
@@ -237,10 +246,10 @@ class Template:
             self._check_kinds(self.entity_kinds)
         for role, parts in said.items():
             if not parts & {None, "color"}:
-                raise self._error(f"nothing says the color of {role!r}. {_SLOT_HELP}")
+                raise self._error(f"it lacks the color of {role!r}. {_SLOT_HELP}")
             if self.entity_kinds is None and not parts & {None, "kind"}:
                 raise self._error(
-                    f"nothing says what {role!r} is, a cube or a pad. Write "
+                    f"it lacks the kind of {role!r}, a cube or a pad. Write "
                     f"{{{role}}}, or give entity_kinds such as [['cube', 'pad']]"
                 )
 
@@ -260,21 +269,22 @@ class Template:
 
 @dataclass(frozen=True, slots=True)
 class LanguageBank:
-    """The templates of one task, but for blind ones; validated when made."""
+    """The templates of one task, except blind ones.
+
+    Raises:
+        InvalidConfigError: A kind is empty, a wording occurs twice, or the templates
+            have different numbers of roles.
+    """
 
     high_level: tuple[Template, ...]
-    """Say only what shall become true."""
+    """Templates that express only the goal."""
     human: tuple[Template, ...]
-    """In the manner that people write; for training."""
+    """Templates in natural wording, for training."""
     unseen: tuple[Template, ...]
-    """Like ``human``, held out of training."""
+    """Templates like ``human``, held out of training."""
 
     def __post_init__(self) -> None:
-        """Check that each kind has templates and that all differ.
-
-        Raises:
-            InvalidConfigError: A kind is empty, or a wording occurs twice.
-        """
+        """Check that each kind has templates and that all differ."""
         seen: dict[str, str] = {}
         counts = set()
         for kind in KINDS:
@@ -288,8 +298,8 @@ class LanguageBank:
                 wording = template.wording()
                 if wording in seen:
                     raise InvalidConfigError(
-                        f"Templates {seen[wording]!r} and {template.text!r} say the "
-                        "same in the same words. Remove or rewrite one."
+                        f"Templates {seen[wording]!r} and {template.text!r} have the "
+                        "same wording. Remove or rewrite one."
                     )
                 seen[wording] = template.text
         if len(counts) > 1:
@@ -306,7 +316,7 @@ class LanguageBank:
         unseen: Sequence[str],
         entity_kinds: Sequence[Sequence[str]] | None = None,
     ) -> Self:
-        """Make a bank from plain strings; see :meth:`Template.from_string`."""
+        """Create a bank from strings; see :meth:`Template.from_string`."""
         return cls(
             *(
                 tuple(Template.from_string(text, entity_kinds) for text in texts)
@@ -326,72 +336,40 @@ class LanguageBank:
         return found
 
     def __iter__(self) -> Iterator[Template]:
-        """Iterate over the templates of every kind."""
+        """Iterate over the templates of all kinds."""
         for kind in KINDS:
             yield from self.templates(kind)
 
     def instruct(
         self, kind: str, goal_pairs: GoalPairs, rng: np.random.Generator
     ) -> str:
-        """Draw a template of a kind, uniformly, and render it for a goal."""
+        """Draw a template of a kind uniformly, and render it for a goal.
+
+        Args:
+            kind: One of :data:`KINDS`.
+            goal_pairs: The (top, bottom) entities of the goal.
+            rng: Random generator; one integer is drawn.
+
+        Raises:
+            UnknownNameError: No such kind.
+            InvalidConfigError: The goal has another form than the template.
+        """
         candidates = self.templates(kind)
         return candidates[int(rng.integers(len(candidates)))].render(goal_pairs)
 
     def parse(self, sentence: str) -> frozenset[tuple[str, str]] | None:
-        """Return the one goal that a sentence asks for.
+        """Return the goal of a sentence.
 
         Returns:
-            The (top, bottom) pairs; None if no template says the sentence.
+            The (top, bottom) pairs; None if no template matches the sentence, or
+            several match with different goals.
         """
         return only_goal(self, sentence)
-
-
-def _is_of_one_color(kind: str) -> bool:
-    return kind in OBJECT_KINDS and not OBJECT_KINDS[kind].colored
-
-
-def _nouns() -> dict[str, ObjectKind]:
-    """Return the kinds that a goal may speak of and that have colors, by their noun."""
-    kinds = (OBJECT_KINDS[name] for name in OBJECT_KINDS)
-    return {kind.nouns[0]: kind for kind in kinds if kind.colored and not kind.tool}
 
 
 def only_goal(
     candidates: Iterable[Template], sentence: str
 ) -> frozenset[tuple[str, str]] | None:
-    """Return the goal on which all templates that say a sentence agree, or None."""
+    """Return the goal on which all templates that match a sentence agree, or None."""
     goals = {template.parse(sentence) for template in candidates} - {None}
     return goals.pop() if len(goals) == 1 else None
-
-
-def _bare(sentence: str) -> str:
-    return " ".join(sentence.split()).rstrip(" .!?")
-
-
-@lru_cache(maxsize=4096)
-def _pattern(
-    template: Template, colors: tuple[str, ...], nouns: tuple[str, ...]
-) -> re.Pattern[str]:
-    """Compile the inverse of ``render``; a role's second mention repeats its first."""
-    text, pieces, end, said = _bare(template.text), [], 0, set()
-
-    def group(name: str, options: Sequence[str]) -> str:
-        if name in said:
-            return f"(?P={name})"
-        said.add(name)
-        return f"(?P<{name}>{'|'.join(map(re.escape, options))})"
-
-    for slot in SLOT.finditer(text):
-        role, part = slot["role"], slot["part"]
-        pieces.append(re.escape(text[end : slot.start()]))
-        if part != "kind":
-            pieces.append(group(f"{role}_color", colors))
-        if part is None:
-            pieces.append(" ")
-        if part != "color":
-            kind = template._kind(role)
-            noun = () if kind is None else OBJECT_KINDS[kind].nouns[:1]
-            pieces.append(group(f"{role}_kind", noun or nouns))
-        end = slot.end()
-    pieces.append(re.escape(text[end:]))
-    return re.compile("".join(pieces), re.IGNORECASE)

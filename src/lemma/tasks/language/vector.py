@@ -1,7 +1,7 @@
-"""A sentence as numbers, for policies that read vectors and no text.
+"""A sentence as a vector, for policies without text input.
 
-LeRobot's ACT and Diffusion Policy take ``observation.environment_state``; most
-instances cannot be told apart without their sentence.
+LeRobot's ACT and Diffusion Policy read ``observation.environment_state``. Without their
+sentence, most instances are ambiguous.
 """
 
 import hashlib
@@ -13,22 +13,22 @@ import numpy.typing as npt
 from lemma.tasks.language.bank import words
 
 WORDS = 40
-"""Largest number of words; later ones are dropped."""
+"""Largest number of words; further ones are dropped."""
 WIDTH = 24
-"""Numbers of each word."""
+"""Components of the vector of a word."""
 NUMBERS = WORDS * WIDTH
-"""Numbers of a sentence."""
+"""Components of the vector of a sentence."""
 
 
 def sentence_vector(sentence: str) -> npt.NDArray[np.float32]:
-    """Return the words of a sentence, one after the other, as signs.
+    """Return the concatenated vectors of the words of a sentence.
 
-    A word is a fixed corner of a cube of length one, taken from its SHA-256: words have
-    nothing to do with one another, nothing is learned, and no file is needed. Behind
-    the last word are zeros.
+    The vector of a word is a vector of signs from its SHA-256, scaled to unit length.
+    It needs neither training nor a file, and different words are unrelated. Zeros
+    follow the last word.
 
     Returns:
-        (NUMBERS,).
+        Shape (NUMBERS,).
     """
     found = np.zeros((WORDS, WIDTH), np.float32)
     for row, word in zip(found, words(sentence), strict=False):
