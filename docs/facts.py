@@ -2,8 +2,9 @@
 
 ``task-facts`` shows one instance of a task: who reaches what, the plan and the
 instructions; with ``replays`` set (``make docs REPLAYS=1``) it plays it and adds a page
-to turn it around. ``arms`` lists the arms and their reach, ``attacks`` those
-of the audit. ``constants`` makes a table of lines
+to turn it around. ``api`` documents the names in it, ``arms`` lists the arms and their
+reach, ``attacks`` those of the audit, ``columns`` those of files of data, ``protocol``
+all that the protocol fixes. ``constants`` makes a table of lines
 ``what | constant | unit | why``, ``engine-options`` one of ``name | why``.
 ``inserted-words`` lists what paraphrases have in common with the unseen templates.
 """
@@ -13,6 +14,7 @@ import math
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from inspect import isclass
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,10 @@ from sphinx.util.docutils import SphinxDirective
 from lemma.audit.attack import ATTACKS, TRIALS
 from lemma.audit.run import names_at
 from lemma.cli.tasks import describe
+from lemma.core.workers.resumable import flat
+from lemma.dataset.recipe import schema
+from lemma.dataset.rendered import keyframes
+from lemma.evaluation.protocol.rules import frozen
 from lemma.expert.expert import Expert
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.could import could_of
@@ -174,6 +180,49 @@ class Constants(Generated):
             yield f"| {what} | {_value(path, unit)} | `{name}` | {why} |"
 
 
+class Api(Generated):
+    """Classes and functions by their docstrings: dotted names on its lines."""
+
+    has_content = True
+
+    def lines(self) -> Iterator[str]:
+        """Return a directive of autodoc for each."""
+        yield "```{eval-rst}"
+        for name in " ".join(self.content).split():
+            module, _, last = name.rpartition(".")
+            found = getattr(import_module(module), last)
+            yield f".. auto{'class' if isclass(found) else 'function'}:: {name}"
+        yield "```"
+
+
+class Columns(Generated):
+    """``{columns maps}``: the columns of a recipe or of files of keyframes."""
+
+    required_arguments = 1
+
+    def lines(self) -> Iterator[str]:
+        """Return the table."""
+        name = self.arguments[0]
+        if name in ("recipe", "perturbed"):
+            yield from schema.describe(perturbed=name == "perturbed").splitlines()
+        else:
+            _, _, text = keyframes.describe().partition(f"### `{name}/`\n")
+            yield from text.partition("###")[0].splitlines()
+
+
+class Protocol(Generated):
+    """A table of all that the protocol fixes; the hashes of lists are left out."""
+
+    def lines(self) -> Iterator[str]:
+        """Return the table."""
+        yield "| what | value |"
+        yield "|---|---|"
+        for name, value in flat(frozen()):
+            if not name.startswith("lists_sha256."):
+                values = value if isinstance(value, list) else [value]
+                yield f"| `{name}` | {', '.join(map(str, values))} |"
+
+
 class Arms(Generated):
     """A table of every arm in the registry: where it works, what it could touch."""
 
@@ -264,9 +313,12 @@ def setup(app: Sphinx) -> dict[str, bool]:
     logging.getLogger("websockets").setLevel(logging.WARNING)
     app.add_config_value("replays", False, "env", types=(bool, int, str))
     app.add_directive("task-facts", TaskFacts)
+    app.add_directive("api", Api)
     app.add_directive("arms", Arms)
     app.add_directive("attacks", Attacks)
+    app.add_directive("columns", Columns)
     app.add_directive("constants", Constants)
+    app.add_directive("protocol", Protocol)
     app.add_directive("engine-options", EngineOptions)
     app.add_directive("inserted-words", InsertedWords)
     return {"parallel_read_safe": True}

@@ -1,4 +1,4 @@
-"""The first scene: an instance, its physics, and what one of its cameras sees.
+"""The first scene: an instance, its physics, and an image of one of its cameras.
 
 python examples/00_first_scene.py [PICTURE]
 """

@@ -1,4 +1,4 @@
-"""The environments: commands to motors, sub-tasks, and several at once.
+"""The environments: motor commands, sub-tasks, and vectors of environments.
 
 python examples/01_gymnasium.py
 """
@@ -33,7 +33,7 @@ for robot in ("robot_0", "robot_1"):
     observation, reward, terminated, truncated, info = skills.step(action)
     print(f"{robot}: {info['outcome']}. {info['explanation']}")
 
-# Vectors: vectorization_mode="async" gives each environment a process of its own.
+# Vectors: with vectorization_mode="async" each environment has its own process.
 envs = gymnasium.make_vec(
     "lemma/Poke-v0", num_envs=4, vectorization_mode="sync", split="train"
 )

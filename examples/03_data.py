@@ -1,9 +1,9 @@
-"""Data: what the expert demonstrates, how to read it, and what cameras saw of it.
+"""Data: demonstrations of the expert, and their camera images.
 
 python examples/03_data.py [FOLDER]
 
-From a shell: lemma generate, lemma inspect, lemma render. A recipe takes a few kB an
-episode; pictures are drawn from it.
+From a shell: lemma generate, lemma inspect, lemma render. A recipe has a few kB per
+episode; images are rendered from it.
 """
 
 import sys
@@ -31,10 +31,10 @@ for episode in lemma.load(recipe):
     print(episode.key, "|", episode.high_level)
     for step in episode.subtasks:
         print(f"  {step.start_s:5.2f} s  {step.instruction}: {step.outcome}")
-    # Executed again, every state is the recorded one, to the bit.
+    # A replay reproduces every recorded state to the bit.
     print("  exact:", replay(episode).is_exact)
 
-# The view before each sub-task, and the decision that a policy should make.
+# The view before each sub-task, with the expert's decision.
 keyframes = folder / "keyframes"
 render(RenderConfig(recipe=recipe, out=keyframes), KeyframeForm(), engine)
 frames = KeyframeDataset(keyframes, split="train")

@@ -1,10 +1,10 @@
-"""Train a small model of one's own: who does the next sub-task?
+"""Train your own small model, which predicts the robot of the next sub-task.
 
 python examples/03_data.py
 python examples/04_train_a_model.py [FOLDER] [STEPS]
 
 Needs torch: pip install "lemma-bench[learn]". The loop, checkpoints, validation and
-files are those of ``lemma train``, which trains the models that ship.
+files are those of ``lemma train``, which trains the published models.
 """
 
 import sys
@@ -24,15 +24,15 @@ from lemma.policies.weights import load_model
 
 @dataclass(frozen=True)
 class WhoIsNextConfig:
-    """Options of the model, which its weights know."""
+    """Options of the model, which are in its file of weights."""
 
     width: int = 16
 
 
 class WhoIsNext(Model):
-    """Tells from the top-down map, and from who acted before, which robot is next.
+    """Predicts the next robot from the top-down map and the last robot.
 
-    It does not read the sentence; ``batch.instructions`` has it.
+    It does not read the instruction, which is in ``batch.instructions``.
     """
 
     selection = "robot"
@@ -59,13 +59,13 @@ class WhoIsNext(Model):
         return scores
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return what training makes smaller; ``stop`` is nobody's."""
+        """Return the loss, without frames of ``stop``, which has no robot."""
         assert batch.labels is not None
         wanted = batch.labels.decision[:, 0]
         return {"robot": F.cross_entropy(self(batch).float(), wanted, ignore_index=-1)}
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the probability of the expert's choice, (B,); NaN does not count."""
+        """Return the probability of the expert's choice, (B,); NaN for ``stop``."""
         assert batch.labels is not None
         wanted = batch.labels.decision[:, :1]
         right = self(batch).float().softmax(-1).gather(1, wanted.clamp(min=0))[:, 0]

@@ -1,4 +1,4 @@
-"""Evaluate a policy of one's own: a planner that tries one robot after the other.
+"""Evaluate your own policy: a planner that tries one robot after the other.
 
 python examples/05_evaluate_a_policy.py [EPISODES]
 lemma evaluate --policy my_module:TriesEachRobot --level plan --tasks pass --out DIR
@@ -14,10 +14,10 @@ from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 
 class TriesEachRobot:
-    """Brings a cube to the middle, and from there to its pad, by whoever can.
+    """Moves a cube to the shared region and from there to its pad.
 
-    A planner decides in symbols, and an oracle adds the poses. It keeps no state: all
-    that was seen and done is in what it is given, for many episodes at a time.
+    A planner returns symbolic sub-tasks, and an oracle adds the poses. The planner is
+    stateless: its inputs have all views and decisions, for many episodes at a time.
     """
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
@@ -31,7 +31,7 @@ class TriesEachRobot:
         if goal is None or len(done) == 2:
             return STOP
         [(cube, pad)] = goal
-        # After each sub-task, whether it succeeded or not, it is the other's turn.
+        # The robots alternate, whether or not the last sub-task succeeded.
         robot = "robot_0"
         if policy_input.past and policy_input.past[-1].subtask.robot == "robot_0":
             robot = "robot_1"
@@ -43,8 +43,8 @@ if __name__ == "__main__":
     found = lemma.evaluate(
         TriesEachRobot(), tasks=["pass"], split="val", episodes=episodes
     )
-    # A sub-task that a robot cannot do ends an episode by the strict verdict. By the
-    # lenient one the policy is told, and goes on.
+    # By the strict verdict, a sub-task that its robot cannot do ends the episode. By
+    # the lenient one, the policy gets the outcome and continues.
     print(found)
     for row in found.rows:
         print(f"val {row['index']}: {row['failure'] or 'success'}")

@@ -2,8 +2,8 @@
 
 python examples/06_control_loop.py [INDEX]
 
-A script picks up a cube with the arm that is near. A policy would look at the images;
-the script looks at the true state, which ``info`` has.
+A script picks up a cube with the nearer arm. A policy would use the images; the script
+uses the true state in ``info``.
 """
 
 import math
@@ -33,17 +33,17 @@ cube = env.instance.goal.pairs[0][0]
 x, y, z, qw, _, _, qz = info["state"][cube]
 hands = observation["tcp_pose"].reshape(2, 7)
 robot = int(np.argmin(np.hypot(hands[:, 0] - x, hands[:, 1] - y)))
-turn = math.atan2(qz, qw)  # half the angle by which the cube is turned
+turn = math.atan2(qz, qw)  # half the yaw of the cube
 down = (0.0, math.cos(turn), math.sin(turn), 0.0)
 
-# Position [m] and opening [m] that the hand is sent to, and for how long [s].
+# Target position [m] and opening [m] of the hand, and duration [s].
 WAY = [
     ((x, y, z + 0.15), 0.1, 3.0),
     ((x, y, z), 0.1, 2.0),
     ((x, y, z), 0.0, 1.0),
     ((x, y, z + 0.15), 0.0, 2.0),
 ]
-# The other arm is told to stay where it is.
+# The command of the other arm is its present pose.
 action = np.hstack([hands, np.full((2, 1), 0.1)])
 for position, opening, seconds in WAY:
     action[robot] = *position, *down, opening

@@ -1,4 +1,4 @@
-"""A page in the browser, with whoever shall act there: here the expert, fast.
+"""A page in the browser with a policy: here the expert, at high speed.
 
 python examples/07_browser.py [PORT]            until Ctrl-C
 python examples/07_browser.py [PORT] --once     until the expert is done
@@ -18,13 +18,13 @@ from lemma.viewer.server import open_server
 port = int(sys.argv[1]) if len(sys.argv) > 1 else 8080
 once = "--once" in sys.argv
 
-# Policies have the names of ``lemma evaluate``: a class of yours, weights, a server.
+# Policies have the names of ``lemma evaluate``: your own class, weights, a server.
 request = EpisodeRequest("stack", "test", 0, policy="oracle")
 session = Session(request, ("oracle",))
 page = Page(session, open_server("127.0.0.1", port))
 print(page.address)
 
-# The page has a thread of its own; commands come from here, or from who looks at it.
+# The page runs in its own thread; commands come from here, or from its visitors.
 loop = threading.Thread(target=page.run)
 loop.start()
 try:

@@ -1,4 +1,4 @@
-"""A policy behind a socket, and the benchmark asking it.
+"""A policy server, and the benchmark as its client.
 
 python examples/08_policy_server.py         both in one process, for one episode
 python examples/08_policy_server.py 8000    serve until Ctrl-C; then, elsewhere:
@@ -26,9 +26,9 @@ CUBE_M = 0.05
 
 
 class ByColor:
-    """Stacks the cubes of the instruction in the middle, wherever it sees their colors.
+    """Finds the cubes of the instruction by color, and stacks them in the middle.
 
-    Two moves and no learning: a frame to put a model into.
+    It makes two moves, without learning: a template for your own model.
     """
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
@@ -36,7 +36,7 @@ class ByColor:
         return [self.decide(policy_input) for policy_input in inputs]
 
     def decide(self, policy_input: PolicyInput) -> Decision:
-        """Return the next decision of one episode; its past says what was done."""
+        """Return the next decision of one episode, from its past and its view."""
         goal = parse(policy_input.instruction)
         if goal is None or len(policy_input.past) == 2:
             return Decision(STOP, None)
@@ -45,7 +45,7 @@ class ByColor:
         pick = find(policy_input.view, entity.partition("_")[0])
         if pick is None:
             return Decision(STOP, None)
-        # The first robot stands at -x.
+        # The first robot is at -x.
         robot = "robot_0" if pick.x < 0 else "robot_1"
         subtask = SubTask(robot, Primitive.MOVE, entity, "shared")
         place = Pose2(0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ class ByColor:
 
 
 def find(view: View, color: str) -> Pose2 | None:
-    """Return the middle of the cube of a color on the map."""
+    """Return the center of the cube of a color on the map."""
     rgb = view.rgb / (view.rgb.sum(-1, keepdims=True) + 1.0)
     names = list(OBJECT_COLORS)
     shades = np.array([OBJECT_COLORS[name][:3] for name in names])
@@ -66,7 +66,7 @@ def find(view: View, color: str) -> Pose2 | None:
     if len(rows) == 0:
         return None
     height, width = view.height_m.shape
-    # Row 0 lies at +y, column 0 at -x.
+    # Row 0 is at +y, column 0 at -x.
     return Pose2(
         float(np.median(columns) + 0.5 - width / 2) * CELL_M,
         float(height / 2 - np.median(rows) - 0.5) * CELL_M,
@@ -74,8 +74,8 @@ def find(view: View, color: str) -> Pose2 | None:
 
 
 def ask(url: str) -> None:
-    """Play one episode with the policy that answers at an address."""
-    # The benchmark, which has the simulator, asks.
+    """Play one episode with the policy server at an address."""
+    # Imported here, because only the benchmark's side needs the simulator.
     from lemma.evaluation.run.rollout import Player, Rollout, roll_out  # noqa: PLC0415
     from lemma.policies.spec import PolicySpec  # noqa: PLC0415
     from lemma.tasks.suite import load_instance  # noqa: PLC0415

@@ -1,11 +1,11 @@
-"""PPO learns to hold a hand over a cube, or to pick it up; and is tested.
+"""Train PPO to hold a hand over a cube, or to pick it up, and test it.
 
 python examples/09_learn_by_reward.py [TASK] [STEPS] [EPISODES] [CURVE.png] [WEIGHTS.pt]
 
 TASK is a rung of the ladder that one robot can do: reach_varied or lift_varied, or the
-same with less or more variation. Prints the learning curve, and for each degree of
-variation the success in the first EPISODES instances of the split test, judged as
-``lemma evaluate`` judges. WEIGHTS.pt is what this plays:
+same with less or more variation. It prints the learning curve, and for each degree of
+variation the success rate on the first EPISODES instances of the split test, by the
+rules of ``lemma evaluate``. This command plays WEIGHTS.pt:
 
 lemma evaluate --policy lemma.policies.control.hand_steps:HandPolicy \
     --policy-args weights=WEIGHTS.pt --level control --tasks lift --out out/lift
@@ -29,17 +29,17 @@ from lemma.policies.control.hand_env import HandEnv
 from lemma.tasks.names import DEGREES, rung_task
 
 NEAR_AT_FIRST, NEAR_AT_LAST = 0.8, 0.08
-"""To lift, so many episodes begin with the hand near a grasp: over the cube, around it
-or closed on it. Fewer do as they succeed."""
+"""For lift, the share of episodes that begin with the hand near a grasp: over the cube,
+around it or closed on it. It decreases with success."""
 HORIZON_S = 8.0
 """Length of an episode in training [s]."""
 
 
 class Curve(BaseCallback):
-    """Prints and keeps how many of the last 100 episodes succeeded, by their start."""
+    """Prints and records the success rate of the last 100 episodes, by their start."""
 
     def __init__(self, every: int, near: float) -> None:
-        """Keep how many steps lie between two points, and the share near at first."""
+        """Store the number of steps between points, and the initial share near."""
         super().__init__()
         self.every, self.near, self.most = every, near, near
         self.began_s = time.process_time()
@@ -58,7 +58,7 @@ class Curve(BaseCallback):
         return True
 
     def rate(self) -> float:
-        """Return the share of recent episodes that succeeded."""
+        """Return the success rate of recent episodes."""
         return float(np.mean(self.recent))
 
     def _on_rollout_end(self) -> None:
@@ -68,7 +68,7 @@ class Curve(BaseCallback):
             self.training_env.env_method("set_wrapper_attr", "near", self.near)
 
     def draw(self, path: str, title: str) -> None:
-        """Write a picture of the curve."""
+        """Write a plot of the curve."""
         mpl.use("Agg")
         from matplotlib import pyplot as plt  # noqa: PLC0415
 
@@ -84,7 +84,7 @@ class Curve(BaseCallback):
 
 
 def test(model: PPO, task: str, episodes: int) -> float:
-    """Return the share of test instances that a policy solves in 100 s each."""
+    """Return the success rate on test instances, with 100 s for each."""
     env, solved = HandEnv(task, "test", horizon_s=100.0), 0
     for index in range(episodes):
         observation, info = env.reset(options={"index": index})
@@ -98,7 +98,7 @@ def test(model: PPO, task: str, episodes: int) -> float:
 
 
 def weights(model: PPO) -> dict[str, torch.Tensor]:
-    """Return the actor's layers as HandPolicy reads them."""
+    """Return the actor's layers in the format of HandPolicy."""
     policy = model.policy
     layers = [*policy.mlp_extractor.policy_net, policy.action_net]
     return {

@@ -1,4 +1,4 @@
-"""A ninth task: the first robot's cube goes onto the other's pad, the other's on top.
+"""A new task: the first robot's cube goes onto the other's pad, the other's on top.
 
 python examples/10_write_a_task.py [SEED]
 """
@@ -11,7 +11,7 @@ from lemma.tasks.placement import ObjectPlacer
 
 
 def arrange(placer: ObjectPlacer) -> Goal:
-    """Set the table: who reaches what, and what shall become true."""
+    """Place the objects in the robots' zones, and return the goal."""
     giver, builder = placer.order
     lower = placer.cube(placer.only(giver))
     upper = placer.cube(placer.only(builder))

@@ -1,4 +1,4 @@
-"""A kind of object of one's own: a can, in a color of one's own, and a task with it.
+"""A new kind of object, a can, in a new color, and a task with it.
 
 python examples/11_write_an_object.py [SEED]
 """
@@ -18,7 +18,7 @@ lemma.OBJECT_COLORS.add("purple", (0.45, 0.20, 0.60, 1.0))
 
 
 def arrange(placer: ObjectPlacer) -> Goal:
-    """Set the table: one robot has a can, the other its pad and a cube to top it."""
+    """Give one robot a can, the other a pad and a cube, and return the goal."""
     giver, taker = placer.order
     can = placer.put("can", placer.only(giver), color="purple")
     pad = placer.pad(placer.only(taker))

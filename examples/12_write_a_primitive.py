@@ -1,4 +1,4 @@
-"""A primitive of one's own: push a cube into the shared space, with closed fingers.
+"""A new primitive: push a cube into the shared region with closed fingers.
 
 python examples/12_write_a_primitive.py [INDEX]
 """
@@ -22,16 +22,16 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 HEIGHT_M = 0.025
 BEHIND_M = 0.06
-"""From the cube's middle to where the fingers come down."""
+"""Distance of the cube's center from the point where the fingers come down."""
 TOUCHING_M = 0.036
-"""From the cube's middle to the fingers that push it."""
+"""Distance of the cube's center from the fingers that push it."""
 SPEED_M_S = 0.1
 LONGEST_M = 0.60
 CORRIDOR_M = 0.06
 
 
 def push(runner: SkillRunner, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
-    """Come down at the pick pose and go straight to the place pose."""
+    """Move down at the pick pose, and straight to the place pose."""
     moves = Moves(arm)
     start, end = (stand_at(p, HEIGHT_M) for p in (subtask.pick, subtask.place))
     over = stand_at(subtask.pick, TRAVEL_HEIGHT_M)
@@ -49,7 +49,7 @@ def push(runner: SkillRunner, arm: ArmMotion, subtask: GroundedSubTask) -> Motio
 def ground(
     geometry: SceneGeometry, subtask: SubTask, now: SymbolicState
 ) -> GroundedOption | None:
-    """Push straight to the best free place, if nothing stands in between."""
+    """Return a straight push to the best free place, if no object is in the way."""
     robot, cube = subtask.robot, subtask.pick
     if subtask.place != SHARED or now.supports.get(cube) != TABLE:
         return None
@@ -76,19 +76,19 @@ def ground(
         GroundedSubTask(robot, subtask.primitive, pick, place),
         now.moved(cube, Pose2(target.x, target.y, start.yaw), TABLE, SHARED),
         geometry.quality(robot, pick, place),
-        # Nothing is grasped and nothing is put down.
+        # Shorter than a move, without grasp and release.
         geometry.duration_s(robot, pick, place) - 3.0,
     )
 
 
 def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
-    """Propose to push what is wanted in the shared space, where one reaches it."""
+    """Propose to push a wanted object in reach to the shared region."""
     if SHARED in wish.places and wish.item in now.supports and robot in wish.able:
         yield SubTask(robot, Primitive("push"), wish.item, SHARED)
 
 
 def why_not(subtask: SubTask, now: SymbolicState) -> str | None:
-    """Say what cannot be pushed, and where to."""
+    """Return why a push is impossible, in one sentence; None if it may be possible."""
     if subtask.pick not in now.supports or subtask.place != SHARED:
         return f"A cube is pushed to the shared space, not {subtask.pick} to another."
     above = now.on_top_of(subtask.pick)

@@ -1,4 +1,4 @@
-"""An arm of one's own, a UR16e, and a task for a team with it.
+"""A new arm, a UR16e, and a task for a team with it.
 
 python examples/13_write_a_robot.py [SEED]
 """

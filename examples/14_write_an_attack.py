@@ -1,4 +1,4 @@
-"""An attack of one's own: put every cube as near to its goal as one arm can.
+"""A new attack: put every cube as near to its goal as one arm can.
 
 lemma --plugin examples/14_write_an_attack.py audit --attacks set_down_near
 """

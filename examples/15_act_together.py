@@ -1,4 +1,4 @@
-"""Four robots at once: each free one brings a cube to its pad, or hands one over.
+"""Four robots act together: each free robot places or hands over a cube.
 
 python examples/15_act_together.py
 """
@@ -13,7 +13,7 @@ pads = env.team.observe().poses
 
 
 def reaches(region: str, pad: str) -> bool:
-    """Whether a robot of a region reaches a pad."""
+    """Return whether a robot at a region reaches a pad."""
     names = (env.robot_names[i] for i in regions[region])
     return any(env.team.grounder.reaches(name, pads[pad]) for name in names)
 
@@ -36,7 +36,7 @@ def best_order(robot: str) -> SubTask | None:
 
 
 on_their_way: set[str | None] = {None}
-"""Cubes that were handed over, and pads that get theirs."""
+"""Cubes that were handed over, and pads with a cube or an order for one."""
 while info["doing"] or not env.episode.is_success:
     orders = []
     for robot in info["free"]:

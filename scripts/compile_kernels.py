@@ -1,9 +1,9 @@
-"""Compile the numerical kernels now, so that the tests do not wait for them.
+"""Compile the numerical kernels before the tests need them.
 
     python scripts/compile_kernels.py
 
-Plays a little of whatever uses kernels of its own: every mode of control, an episode of
-a task, four robots at once, and pictures. Numba keeps the code beside the sources.
+It runs everything with kernels for a short time: every control mode, an episode of a
+task, four robots at once, and images. Numba caches the code beside the sources.
 """
 
 from tempfile import TemporaryDirectory
@@ -14,12 +14,12 @@ from lemma.cli.main import main
 from lemma.core.errors import RenderingError
 
 PLAYED = (("lemma", "hook"), ("teams", "carousel"))
-"""Suites and tasks."""
+"""Suite and task of each episode."""
 OBSERVATIONS = ("rgbd", "map")
 
 
 def compile_kernels() -> None:
-    """Play; what fails here fails in the tests, which say more about it."""
+    """Run the kernels; errors are left to the tests, which report more about them."""
     for case in fast_cases():
         hash_case(case)
     for suite, task in PLAYED:
@@ -33,11 +33,11 @@ def compile_kernels() -> None:
     try:
         look()
     except RenderingError:
-        print("Nothing renders here, so kernels for pictures are compiled later.")
+        print("No renderer works here, so kernels for images are compiled later.")
 
 
 def look() -> None:
-    """Take one control step with each kind of picture."""
+    """Take one control step with each kind of image."""
     for observation in OBSERVATIONS:
         env = lemma.make("hook", observation=observation)
         env.reset(seed=0)

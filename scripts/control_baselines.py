@@ -1,4 +1,4 @@
-"""Train policies of LeRobot on motor commands, and evaluate them: control level.
+"""Train and evaluate LeRobot policies at control level.
 
 In an environment with lerobot, such as the one that ``make test-lerobot`` makes:
 
@@ -6,16 +6,17 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
     python scripts/control_baselines.py --seeds 0,1,2
     python scripts/control_baselines.py --observation privileged
 
-It runs the commands that it prints: demonstrations, what cameras see of them, as arrays
-in memory; one training for each policy and seed, all at the same time, each GPU in
-turn; meanwhile, on the processors, every checkpoint on split val, which is the learning
-curve, and the last one of each training on split test. Finished parts are kept:
-the same command goes on where it was stopped, but a training that was not done begins
-again. ``--phases`` does a part of it, ``--train-s`` and ``--stop-s`` end it in time.
+It runs the commands that it prints. First it generates demonstrations and renders their
+camera images as arrays in memory. Then it runs one training for each policy and seed,
+all at the same time, distributed over the GPUs. Meanwhile the CPUs evaluate every
+checkpoint on split val, for the learning curve, and the last one of each training on
+split test. Finished parts are kept, and the same command resumes, but an unfinished
+training begins again. ``--phases`` selects parts; ``--train-s`` and ``--stop-s`` are
+time limits.
 
-One policy learns all tasks. It is told the sentence as numbers, because neither ACT nor
-Diffusion Policy of LeRobot reads text. With ``--observation privileged`` it is told the
-truth instead, poses and goal, and sees nothing: an oracle.
+One policy learns all tasks. Its input has the instruction as numbers, because LeRobot's
+ACT and Diffusion Policy do not read text. With ``--observation privileged`` its input
+is privileged state, poses and goal, without images: an oracle.
 """
 
 import os
@@ -45,9 +46,9 @@ PHASES = ("data", "train", "test", "curve")
 TRAINER = "scripts/train_lerobot_policy.py"
 CURVE_SPLIT = "val"
 WEIGHTS = "pretrained_model"
-"""Of a checkpoint: its folder for policies."""
+"""Folder of the policy in a checkpoint."""
 STATE = "training_state/training_step.json"
-"""Of a checkpoint: how far the training has come."""
+"""File with the number of steps in a checkpoint."""
 LOOK_S = 0.5
 
 Run = tuple[str, int]
@@ -60,38 +61,38 @@ class Plan:
 
     out: Path = Path("runs")
     film_folder: Annotated[Path | None, tyro.conf.arg(name="film")] = None
-    """Of what is seen in the demonstrations; in OUT if none, and /dev/shm is fast."""
+    """Folder of the rendered demonstrations; in OUT by default. /dev/shm is fast."""
     tasks: str = ",".join(CONTROL_TASKS)
     policies: str = ",".join(POLICIES)
     seeds: str = "0"
     phases: str = ",".join(PHASES)
-    """Some of these."""
+    """Phases to run, separated by commas."""
     observation: Observation = "rgb"
     cameras: str = ""
-    """Names, with commas; the robots' own if empty."""
+    """Names of cameras, separated by commas; those of the robots if empty."""
     size: str = "160x120"
     fps: int = 5
     steps: int = 20_000
     train_s: float = 0.0
-    """How long to train instead of a number of steps; 0 if these count."""
+    """Duration of a training [s], instead of a number of steps; 0 to use steps."""
     batch: int = 128
     points: int = 4
-    """Of the learning curve: checkpoints."""
+    """Number of checkpoints for the learning curve."""
     workers: int = os.cpu_count() or 1
     episodes: int = 0
-    """Of each task and split train; 0 for all."""
+    """Episodes of each task in split train; 0 for all."""
     vals: Annotated[int, tyro.conf.arg(name="val")] = 10
-    """Of each task and split val."""
+    """Episodes of each task in split val."""
     tests: Annotated[int, tyro.conf.arg(name="test")] = 0
-    """Of each task and split test; 0 for all."""
+    """Episodes of each task in split test; 0 for all."""
     stop_s: float = float("inf")
-    """When all ends [s]."""
+    """Time limit of the whole command [s]."""
     print: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Only print the commands."""
 
     @property
     def film(self) -> Path:
-        """Folder of what is seen in the demonstrations."""
+        """Folder of the rendered demonstrations."""
         return self.film_folder or self.out / f"film-{self.observation}"
 
     @property
@@ -105,7 +106,7 @@ class Plan:
         return self.out / f"seed-{seed}" / f"{name}{suffix}"
 
     def data_commands(self) -> list[str]:
-        """Return what makes the training data."""
+        """Return the commands that make the training data."""
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
         state = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
         seen = f"--cameras {self.cameras} " if self.cameras else ""
@@ -122,8 +123,8 @@ class Plan:
         long = f"--steps {self.steps}"
         if self.train_s:
             long = f"--train-s {self.train_s:g}"
-        # A policy that knows where a hand is infers its goal from its way, and ignores
-        # the pictures.
+        # With the poses of hands as input a policy infers the goal from their motion,
+        # and ignores the images.
         state = "grippers" if self.observation == OBSERVATIONS[0] else "full"
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
@@ -145,7 +146,7 @@ class Plan:
         )
 
     def trained(self, run: Run) -> bool:
-        """Return whether a training has come to its end."""
+        """Return whether a training is finished."""
         saved = checkpoints(self.run(*run))
         if not saved:
             return False
@@ -154,7 +155,7 @@ class Plan:
         return state["share"] >= 1.0
 
     def commands(self, runs: Sequence[Run]) -> list[str]:
-        """Return all commands, but those of the learning curve."""
+        """Return all commands except those of the learning curve."""
         last = f"checkpoints/last/{WEIGHTS}"
         return [
             *self.data_commands(),
@@ -164,14 +165,14 @@ class Plan:
 
 
 def checkpoints(run: Path) -> list[tuple[int, Path]]:
-    """Return what a training has saved, whole, by number of steps."""
-    # The number of the step is written last.
+    """Return the complete checkpoints of a training with their numbers of steps."""
+    # The file with the number of steps is written last.
     whole = (run / "checkpoints").glob(f"[0-9]*/{STATE}")
     return sorted((int(each.parts[-3]), each.parents[1] / WEIGHTS) for each in whole)
 
 
 def playable(plan: Plan, runs: Sequence[Run], phases: Sequence[str]) -> Iterator[str]:
-    """Yield evaluations of what is there by now: whole trainings first."""
+    """Yield evaluations of existing checkpoints, first those of finished trainings."""
     if "test" in phases:
         for run in runs:
             if plan.trained(run):
@@ -183,16 +184,16 @@ def playable(plan: Plan, runs: Sequence[Run], phases: Sequence[str]) -> Iterator
 
 
 def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) -> None:
-    """Train, and evaluate what is there meanwhile, until all is done.
+    """Train, and evaluate existing checkpoints meanwhile, until all is done.
 
     Args:
-        plan: The baselines to make.
+        plan: Options of the command.
         runs: Trainings.
         phases: Some of :data:`PHASES`.
-        stop_s: All that still goes on after this time is ended.
+        stop_s: Time at which running commands are ended [s].
 
     Raises:
-        SystemExit: Some command failed; the others came to their end.
+        SystemExit: A command failed; the others finish first.
     """
     begin, gpus = time.monotonic(), len(visible_gpus())
     going: dict[str, subprocess.Popen[bytes]] = {}
@@ -218,8 +219,8 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
             time.sleep(LOOK_S)
     finally:
         for process in going.values():
-            # An evaluation keeps what it has played. Processes that a shell
-            # starts in the background ignore SIGINT.
+            # An evaluation keeps finished episodes. Not SIGINT, because background
+            # processes of a shell ignore it.
             process.terminate()
             process.wait()
     if failed:
@@ -229,7 +230,7 @@ def work(plan: Plan, runs: Sequence[Run], phases: Sequence[str], stop_s: float) 
 
 
 def write_curve(plan: Plan, run: Run) -> None:
-    """Write success on split val of all checkpoints that were tried."""
+    """Write the success on split val of all evaluated checkpoints."""
     points = []
     for found in (plan.run(*run) / CURVE_SPLIT).glob(f"*/{SUMMARY}"):
         cells = read_result(found).cells
@@ -244,7 +245,7 @@ def write_curve(plan: Plan, run: Run) -> None:
 
 
 def main() -> None:
-    """Do what the arguments say."""
+    """Run the command line."""
     plan = tyro.cli(Plan, description=__doc__)
     phases = plan.phases.split(",")
     if unknown := set(phases) - set(PHASES):

@@ -1,8 +1,8 @@
-"""Pictures of demonstrations as arrays, and samples of them for learning.
+"""Images of demonstrations as arrays, and training samples of them.
 
-:func:`film` executes a recipe again and writes what ``lemma render --form lerobot``
-would, frame by frame, as arrays instead of videos; :class:`Film` holds all of it on the
-device that computes, so nothing waits for a disk, a decoder or a copy.
+:func:`film` executes a recipe again and writes the data of ``lemma render --form
+lerobot`` frame by frame, as arrays instead of videos. :class:`Film` holds all of them
+on the device of the training, which saves reading, decoding and copying.
 """
 
 import json
@@ -31,47 +31,47 @@ from side_by_side import visible_gpus
 ABOUT, LENGTHS = "about.json", "lengths"
 VECTORS = (OBS_STATE, OBS_ENV_STATE, ACTION)
 FIRST = 0.15
-"""Which part of the samples begins an episode: there nothing but pictures and sentence
-tell which arm goes, and where to."""
+"""Share of the samples at the start of an episode, where the arm and its target follow
+from images and instruction alone."""
 FOCUS = 0.4
-"""Which part of the samples is of decisive moments."""
+"""Share of the samples at decisive frames; see :meth:`Film.decisive`."""
 JUMP = 0.12
-"""A waypoint that moves further [m], or turns a column of its rotation further, between
-two frames is a new one: straight lines are led at no more than 0.1 m a frame."""
+"""A waypoint is new if it moves by more than this [m] between two frames, or a column
+of its rotation does. Straight motions have at most 0.1 m per frame."""
 GRIPPER_JUMP_M = 0.05
 ROBOTS = 2
 AROUND = (-1, 1)
-"""Frames beside those at which it begins that are decisive too."""
+"""Frames around the first one of a new waypoint that are decisive, too."""
 ARRIVED = 0.05
-"""A tool is where it was sent if all numbers of its pose are this near [m, 1]."""
+"""A tool is at its target if all numbers of its pose are this close [m, 1]."""
 UNSEEN = 1e6
-"""A policy that normalizes a number by this range does not see it."""
+"""Normalization range that hides a number from a policy."""
 STATISTICS_OF = 5_000
-"""So many pictures tell mean and deviation."""
+"""Number of images for mean and standard deviation."""
 DRAWS_ON = "MUJOCO_EGL_DEVICE_ID"
-"""Environment variable that names a GPU to MuJoCo."""
+"""Environment variable with the number of MuJoCo's GPU."""
 READERS = 8
-"""Threads that read a film."""
+"""Number of threads that read a film."""
 
 _HIDDEN = {"mean": 0.0, "std": UNSEEN, "min": -UNSEEN, "max": UNSEEN}
 
 Batch = dict[str, Any]
-"""Samples, as LeRobot's data sets have them."""
+"""Samples in the format of LeRobot's data sets."""
 
 
 def film_shard(
     shard: Shard, style: Style, folder: Path, gpus: Sequence[str] = ()
 ) -> int:
-    """Write some episodes as arrays; return how many frames they have.
+    """Write the episodes of a shard as arrays; return their number of frames.
 
     Args:
-        shard: Which episodes.
-        style: How they are filmed.
-        folder: Where to.
-        gpus: Numbers of those that processes draw on, each on one of them.
+        shard: The episodes.
+        style: Options of the rendering.
+        folder: Folder of the output.
+        gpus: Numbers of the GPUs for rendering; each process uses one.
     """
     if gpus:
-        # Read when this process draws for the first time.
+        # MuJoCo reads it at the first rendering of this process.
         os.environ.setdefault(DRAWS_ON, gpus[os.getpid() % len(gpus)])
     target = folder / f"{shard.folder.name}.npz"
     if not target.exists():
@@ -101,19 +101,19 @@ def film(
     split: str = "train",
     tasks: tuple[str, ...] = (),
 ) -> None:
-    """Write the episodes of a split as arrays; those that are there are kept.
+    """Write the episodes of a split as arrays; existing ones are kept.
 
     Args:
         recipe: Folder of the demonstrations.
-        folder: Where to.
-        style: How they are filmed.
-        workers: Processes, each on one of the GPUs if there are some.
-        split: Of the recipe.
-        tasks: Names; all of the recipe if none.
+        folder: Folder of the output.
+        style: Options of the rendering.
+        workers: Number of processes, each with one of the GPUs, if any.
+        split: Split of the recipe.
+        tasks: Names of tasks; all of the recipe if empty.
 
     Raises:
-        DatasetError: They cannot be learned from, or not be done again here.
-        SystemExit: The folder holds a film with other options.
+        DatasetError: The recipe is no training data, or cannot be executed here.
+        SystemExit: The folder has a film with other options.
     """
     folder.mkdir(parents=True, exist_ok=True)
     source = RenderConfig(recipe=recipe, out=folder, tasks=tasks, splits=(split,))
@@ -138,15 +138,15 @@ class Film:
     """All frames of the demonstrations, on one device."""
 
     vectors: dict[str, torch.Tensor]
-    """(frames, numbers) float32."""
+    """States and actions by name, (frames, numbers) float32."""
     images: dict[str, torch.Tensor]
-    """(frames, height, width, 3) uint8."""
+    """Images by camera, (frames, height, width, 3) uint8."""
     last: torch.Tensor
-    """Of each frame, the number of the last one of its episode."""
+    """For each frame, the index of the last frame of its episode, (frames,)."""
 
     @classmethod
     def load(cls, folder: Path, device: str) -> "Film":
-        """Read what :func:`film` wrote."""
+        """Read the output of :func:`film`."""
         files = sorted(folder.glob("*.npz"))
         lengths = []
         for file in files:
@@ -175,7 +175,7 @@ class Film:
         return cls(vectors, images, last)
 
     def features(self) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
-        """Return what a policy observes, and what it commands."""
+        """Return the features of a policy's inputs and outputs."""
         kinds = {OBS_STATE: FeatureType.STATE, OBS_ENV_STATE: FeatureType.ENV}
         seen = {
             name: PolicyFeature(kinds[name], (rows.shape[1],))
@@ -190,11 +190,11 @@ class Film:
         return seen, {ACTION: row}
 
     def statistics(self, *, poses: bool = True) -> dict[str, dict[str, torch.Tensor]]:
-        """Return what values are normalized by, in the names of LeRobot.
+        """Return the statistics for normalization, with LeRobot's names.
 
         Args:
-            poses: Whether a policy shall be told the poses of its own hands. Without
-                them it is told how far they are open, and must look for the rest.
+            poses: Whether the policy's state has the poses of its hands. Otherwise it
+                has only their openings, and the poses must come from the images.
         """
         found = {}
         for name, rows in self.vectors.items():
@@ -217,7 +217,7 @@ class Film:
         return torch.cat([self.last.new_zeros(1), self.last.unique()[:-1] + 1])
 
     def new_waypoints(self) -> torch.Tensor:
-        """Return at which frames a waypoint is new, (frames,)."""
+        """Return whether each frame has a new waypoint, (frames,) bool."""
         action = self.vectors[ACTION]
         new = torch.zeros(len(action), dtype=torch.bool, device=action.device)
         change = (action[1:] - action[:-1]).abs().reshape(len(action) - 1, ROBOTS, -1)
@@ -227,25 +227,26 @@ class Film:
         return new
 
     def decisive(self) -> torch.Tensor:
-        """Return at which frames a new waypoint begins, or will soon, (frames,).
+        """Return whether a new waypoint begins at or near each frame, (frames,) bool.
 
-        While an arm moves, its own pose tells where it goes. A policy that learns to
-        read it there knows nothing where the arm still stands, and believes itself
-        afterwards. See Wen et al., "Keyframe-Focused Visual Imitation Learning", 2021.
+        While an arm moves, its own pose reveals its target. A policy that learns this
+        shortcut does not know the target while the arm stands still, and then follows
+        its own wrong motion. See Wen et al., "Keyframe-Focused Visual Imitation
+        Learning", 2021.
         """
         found = self.new_waypoints()
         frames = found.nonzero().ravel()
         for steps in AROUND:
             beside = (frames + steps).clamp(0, len(found) - 1)
-            # The neighbor of a frame may be a frame of another episode.
+            # Ignore neighbors in another episode.
             found[beside[self.last[beside] == self.last[frames]]] = True
         return found
 
     def idle(self) -> torch.Tensor:
-        """Return at which frames all is done and the arms are home again, (frames,).
+        """Return whether the task is done and the arms are parked, (frames,) bool.
 
-        They stand as at the beginning: a policy that learns from both to look at its
-        pose alone never begins.
+        The arms have the same pose as at the start. A policy that trains on both and
+        uses the pose alone never begins to move.
         """
         here = torch.arange(len(self.last), device=self.last.device)
         new = here[self.new_waypoints()]
@@ -256,17 +257,18 @@ class Film:
         return there & (here > newest[self.last])
 
     def samples(self, index: torch.Tensor, config: Any) -> dict[str, Any]:
-        """Return frames by number, as LeRobot's data sets have them.
+        """Return frames in the format of LeRobot's data sets.
 
         Args:
-            index: Numbers of frames, (n,).
-            config: Of the policy that is given them.
+            index: Indices of frames, (n,).
+            config: Configuration of the policy.
         """
         found: dict[str, Any] = {
             name: rows[index] for name, rows in self.vectors.items()
         }
         for name, rows in self.images.items():
-            # Seen as (channels, height, width), in the order that is fast.
+            # A view as (channels, height, width); memory stays channels-last, for
+            # speed.
             found[name] = rows[index].permute(0, 3, 1, 2).float() / 255.0
         if config.observation_delta_indices is not None:
             found = {name: rows[:, None] for name, rows in found.items()}
@@ -277,9 +279,10 @@ class Film:
         return found
 
     def batches(self, config: Any, size: int, seed: int) -> Iterator[dict[str, Any]]:
-        """Yield random samples for ever.
+        """Yield random batches without end.
 
-        :data:`FIRST` of them begin an episode, :data:`FOCUS` are at decisive frames.
+        The share :data:`FIRST` is at the start of an episode, :data:`FOCUS` at decisive
+        frames.
         """
         device = self.last.device
         drawing = torch.Generator(device=device).manual_seed(seed)

@@ -1,8 +1,8 @@
-"""Write the table of the expert's times anew: val and test, perturbed starts too.
+"""Write the table of the expert's times for val and test, with perturbed starts.
 
     python scripts/expert_times.py 2
 
-The word is the number of processes. The same version writes the same bytes.
+The argument is the number of processes. The same version writes the same bytes.
 """
 
 import json
@@ -37,21 +37,21 @@ from lemma.tasks.zones import Territory
 
 TABLE = Path(__file__).parents[1] / "src" / "lemma" / "evaluation" / "protocol" / TIMES
 _PLACES = 3
-"""Decimals of times [s]: milliseconds, as in results."""
+"""Decimal places of times [s]: milliseconds, as in results."""
 _DRAWS = 200
 _CHUNK = 10
 _EDGE_M = 0.03
-"""Least distance of objects from the edge of the table [m]."""
+"""Smallest distance of objects from the edge of the table [m]."""
 
 
 def time_expert(task: str, split: str, index: int) -> tuple[float, int, float]:
-    """Let the expert solve an instance, and find its perturbed start.
+    """Solve an instance with the expert, and find its perturbed start.
 
     Returns:
-        Its time [s], the draw of the perturbed start, and the time for that [s].
+        The time [s], the number of the perturbed start's draw, and the time for it [s].
 
     Raises:
-        SamplingError: It fails, or no perturbed start was found.
+        SamplingError: The expert fails, or there is no valid perturbed start.
     """
     instance = load_instance(task, split, index)
     elapsed = _solved_s(instance)
@@ -66,13 +66,13 @@ def time_expert(task: str, split: str, index: int) -> tuple[float, int, float]:
             if moved_s is not None:
                 return elapsed, draw, moved_s
     raise SamplingError(
-        f"None of {_DRAWS} perturbed starts of {instance.key} is the same problem. "
-        "Move things less."
+        f"None of {_DRAWS} perturbed starts of {instance.key} is equivalent to the "
+        "instance. Use smaller perturbations."
     )
 
 
 def time_all(engine: Engine) -> dict[str, Any]:
-    """Return the whole table, made anew."""
+    """Compute the whole table."""
     jobs = [
         (task, split, range(start, min(start + _CHUNK, SPLITS[split])))
         for split in TIMED_SPLITS
@@ -106,7 +106,7 @@ def _time_group(
 
 
 def _solved_s(instance: Instance) -> float | None:
-    """Return the time of the expert [s]; None if it needs more than is promised."""
+    """Return the expert's time [s]; None if its plan is longer than the task's."""
     (play,) = roll_out([Rollout(instance)], Player.load(PolicySpec(ORACLE)), 1)
     promised = TASKS[instance.task].subtasks
     if not play.success or len(play.steps) != promised:
@@ -115,7 +115,7 @@ def _solved_s(instance: Instance) -> float | None:
 
 
 def is_alike(scene: SceneSpec, original: SceneSpec) -> bool:
-    """Whether a scene poses the same problem as the one that it was made of."""
+    """Return whether a perturbed scene is equivalent to the original one."""
     territory = Territory(scene.robots, scene.gap_m)
     views = [CameraFootprint(robot) for robot in scene.robots]
 
@@ -137,7 +137,7 @@ def is_alike(scene: SceneSpec, original: SceneSpec) -> bool:
 def _is_reached(
     territory: Territory, placed: ObjectPlacement
 ) -> list[tuple[bool, bool]]:
-    """Return for each robot whether it surely reaches, and could do nothing."""
+    """Return for each robot whether it surely reaches, and whether it surely cannot."""
     x, y, kind = (
         np.array([placed.pose.x]),
         np.array([placed.pose.y]),

@@ -1,14 +1,14 @@
-"""Write the frozen instance lists anew: sampled, solved by the expert, and attacked.
+"""Write the frozen instance lists: sampled, solved by the expert, and attacked.
 
     python scripts/freeze_instances.py src/lemma/tasks/frozen lemma train,val,test 8
 
-The second word is a suite or names of tasks, separated by commas; the last one the
-number of processes. The same version writes the same bytes. Lists of tasks that are not
-named stay as they are; of the ladder, those are made that it has for itself.
+The second argument is a suite or names of tasks, separated by commas; the last one is
+the number of processes. The same version writes the same bytes. Lists of other tasks
+are not changed. For the suite ``ladder``, only its own tasks are written.
 
-An instance enters a list only if the expert solves it, by a plan of the length that its
-task promises, and if no cheap attack does. Refusals are counted: they measure the
-sampler and the expert.
+A list has only instances that the expert solves with a plan of the task's length, and
+that no cheap attack solves. The printed numbers of rejections measure the sampler and
+the expert.
 """
 
 import gzip
@@ -36,24 +36,24 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """One accepted instance and what it took."""
+    """One accepted instance with the numbers of rejections before it."""
 
     instance: Instance
     rejected: int
-    """Tables that violated the task's zones."""
+    """Number of candidates that violated the task's zones."""
     unsolved: int
-    """Sampled instances that the expert did not solve."""
+    """Number of sampled instances that the expert did not solve."""
     broken: tuple[str, ...]
-    """Attacks that succeeded on sampled instances."""
+    """Names of attacks that solved sampled instances."""
     elapsed_s: float
     """Simulated time of the expert [s]."""
 
 
 def accept(task: str, split: str, index: int) -> Accepted:
-    """Sample an instance until the expert solves it and no cheap attack does.
+    """Sample instances until the expert solves one and no cheap attack does.
 
     Raises:
-        SamplingError: Too many were refused.
+        SamplingError: Too many instances were rejected.
     """
     record = TASKS[task]
     rejected = 0
@@ -78,9 +78,9 @@ def accept(task: str, split: str, index: int) -> Accepted:
 
 
 def _solved_s(instance: Instance, promised: int) -> float | None:
-    """Return the time of the expert [s]; None if its plan fails or is longer.
+    """Return the expert's time [s]; None if its plan fails or is longer than promised.
 
-    A larger team solves it with all robots at work at the same time as well.
+    For more than two robots, all robots acting together must solve it, too.
     """
     if len(instance.scene.robots) > 2:
         together = Episode(instance)
@@ -110,7 +110,7 @@ def write_list(instances: list[Instance], path: Path) -> str:
         for instance in instances
     ]
     text = ("\n".join(lines) + "\n").encode()
-    # No time stamp and no file name in the header, so that the bytes repeat.
+    # A header without time stamp and file name, for reproducible bytes.
     path.write_bytes(gzip.compress(text, compresslevel=9, mtime=0))
     return hashlib.sha256(text).hexdigest()
 
@@ -121,10 +121,10 @@ def freeze(
     """Write the lists of some tasks and splits, and their manifest.
 
     Args:
-        folder: Where the lists go, ``src/lemma/tasks/frozen``.
+        folder: Folder of the lists, ``src/lemma/tasks/frozen``.
         tasks: Names of tasks.
         splits: Names of splits.
-        workers: Processes.
+        workers: Number of processes.
 
     Yields:
         One line of figures per list.

@@ -1,8 +1,8 @@
-"""Write the hashes of states that ``lemma doctor`` compares with; takes a minute.
+"""Write the expected hashes of states for ``lemma doctor``; it takes a minute.
 
     python scripts/hash_states.py
 
-They may change only together with the version of the benchmark or of MuJoCo.
+The hashes may change only with the version of the benchmark or of MuJoCo.
 """
 
 import json

@@ -1,9 +1,10 @@
-"""Print how often an expert's plan keeps the rule of `exchange` without knowing it.
+"""Print how often the expert's plan keeps the rule of `exchange` by chance.
 
     python scripts/ignore_rules.py [SPLIT ...]
 
-The splits are `val` and `train` unless named. Only plans are made, nothing is executed.
-Plans for *but* keep its rule: there the trap is in the words "every cube".
+The plans are for the goals without their rules, and are not executed. The default
+splits are `val` and `train`. Plans for *but* always keep its rule, because its
+difficulty is in the words "every cube".
 """
 
 import sys
@@ -22,7 +23,7 @@ TASK = "exchange"
 
 
 def plan_keeps_rule(instance: Instance) -> bool:
-    """Whether the plan for the goal without its rule keeps the rule."""
+    """Return whether the plan for the goal without its rule keeps the rule."""
     start = SymbolicState.observe(Scene(instance.scene))
     goal = Goal(instance.goal.conjuncts)
     plan = find_plan(start, goal, GeometricGrounder(instance.scene))

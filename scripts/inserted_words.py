@@ -1,8 +1,8 @@
-"""Which words of the unseen templates do the training paraphrases insert?
+"""Print the words of the unseen templates that the training paraphrases insert.
 
-Run from the repository: ``python scripts/inserted_words.py``. The list in
-docs/language.md is computed by this when the pages are built: sentences are drawn as
-training draws them, so that the rules of paraphrasing may change.
+Run from the repository: ``python scripts/inserted_words.py``. The build of the pages
+computes the list in docs/language.md with this module, from sentences drawn as in
+training, so the list follows changes of the paraphrases.
 """
 
 import re
@@ -15,13 +15,13 @@ from lemma.tasks.language.bank import templates, vocabulary, words
 from lemma.tasks.suite import SUITE, load_instance
 
 DRAWS = 2000
-"""Sentences of each task."""
+"""Number of sentences of each task."""
 _RARE = 2000
-"""A word that less than one sentence in so many has is noise, not a rule."""
+"""Words in less than one of so many sentences are ignored as noise."""
 
 
 def unseen_words() -> dict[str, int]:
-    """Return the words that only unseen templates have: in how many of the 80."""
+    """Return the words in unseen templates alone, with their number of templates."""
     known = set(vocabulary())
     counted: Counter[str] = Counter()
     for task in SUITE:
@@ -32,10 +32,10 @@ def unseen_words() -> dict[str, int]:
 
 
 def inserted_words(draws: int = DRAWS) -> tuple[str, ...]:
-    """Return those of them that paraphrases insert, sorted.
+    """Return the words of :func:`unseen_words` that paraphrases insert, sorted.
 
     Args:
-        draws: Sentences to draw for each task.
+        draws: Number of sentences to draw for each task.
     """
     only_unseen = unseen_words()
     counted: Counter[str] = Counter()

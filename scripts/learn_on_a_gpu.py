@@ -1,9 +1,9 @@
-"""PPO learns to reach, to lift or to place on thousands of tables at once.
+"""Train PPO to reach, to lift or to place in thousands of worlds at once.
 
 python scripts/learn_on_a_gpu.py [TASK] [MINUTES] [WORLDS] [WEIGHTS.pt] [SEED]
 
-The robot that reaches the object acts; its hand points down and is moved step by step.
-The actor is saved, and played on the CPU by
+The robot that reaches the object acts; its hand points down and moves in Cartesian
+steps. The actor is saved. This command executes it on the CPU:
 
 lemma evaluate --policy lemma.policies.control.hand_steps:HandPolicy \
     --policy-args weights=WEIGHTS.pt --level control --tasks lift --out out/lift
@@ -26,15 +26,15 @@ LOG_STD = -0.7
 HORIZON_S = {"reach": 8.0, "lift": 8.0}
 """Length of episodes by rung [s]; other rungs have 12 s."""
 NEAR_AT_FIRST, NEAR_AT_LAST = 0.8, 0.08
-"""But for reach, so many episodes begin with a hand near a grasp; fewer as they
-succeed."""
+"""Share of episodes that begin with a hand near a grasp, except for reach; it decreases
+with success."""
 
 
 class Learner:
     """Plain PPO with a Gaussian policy."""
 
     def __init__(self, env: GpuVecEnv, seed: int = 0) -> None:
-        """Make networks of actor and critic; the seed is of both and of the tables."""
+        """Create actor and critic; the seed is for both and for the worlds."""
         torch.manual_seed(seed)
         self.env, device = env, env.device
         self.actor, self.critic = network().to(device), network(out=1).to(device)
@@ -49,7 +49,7 @@ class Learner:
         self.x, self.robot = self.seen(env.reset(seed=seed)[0])
 
     def seen(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the features of the robots that can act, and their numbers, (n,)."""
+        """Return the features of the acting robots, and their numbers, (n,)."""
         n = len(observation["here"])
         goal = observation["goal_state"].view(n, -1, 13)
         names = ("target", "here", "base", "asked")
@@ -63,7 +63,7 @@ class Learner:
 
     @torch.no_grad()
     def collect(self) -> tuple[list[Tensor], float, int]:
-        """Act; return what is learned from, the share of successes, and episodes."""
+        """Act; return the batch, the success rate, and the number of episodes."""
         env, kept = self.env, []
         solved, ended = self.x.new_zeros(()), self.x.new_zeros(())
         tables = torch.arange(env.num_envs, device=env.device)
@@ -92,7 +92,7 @@ class Learner:
         return [*columns, torch.cat(gains)], float(solved) / max(1, count), count
 
     def learn(self, batch: list[Tensor]) -> None:
-        """Improve actor and critic."""
+        """Update actor and critic."""
         x, action, old, value, gain = batch
         target = gain + value
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
@@ -129,7 +129,7 @@ if __name__ == "__main__":
         batch, found, ended = learner.collect()
         learner.learn(batch)
         rounds, steps = rounds + 1, steps + len(batch[0])
-        # At first only short episodes have ended.
+        # An average, because only short episodes end at first.
         rate += 0.05 * (found - rate)
         if first:
             env.near = max(NEAR_AT_LAST, min(env.near, (1.0 - rate) * first))

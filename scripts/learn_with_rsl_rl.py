@@ -1,4 +1,4 @@
-"""PPO of rsl_rl: all robots of a table are one agent.
+"""Train PPO of rsl_rl, with all robots of a world as one agent.
 
 python scripts/learn_with_rsl_rl.py [TASK] [ITERATIONS] [WORLDS] [FOLDER]
 
@@ -42,7 +42,7 @@ def configuration() -> dict[str, Any]:
 def train(
     task: str, iterations: int, worlds: int, folder: str | None, **options: Any
 ) -> RunnerEnv:
-    """Learn for some iterations of 24 steps, and return the environment."""
+    """Train for some iterations of 24 steps, and return the environment."""
     env = RunnerEnv(lemma.make_gpu_vec(task, worlds, reward="level", **options))
     runner = OnPolicyRunner(env, configuration(), folder, env.device)
     runner.learn(iterations, init_at_random_ep_len=True)

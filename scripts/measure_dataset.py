@@ -1,13 +1,13 @@
-"""Measure what rendered data sets cost: to make, to keep and to read.
+"""Measure the time to make and to read rendered data sets, and their size.
 
     python scripts/measure_dataset.py [--recipe DIR] [--episodes 10] [--seconds 5]
 
-Without --recipe, one is generated for each number of workers up to the cores: so many
-episodes of every task. Rendering is measured in one process. Reading is measured in
+Without --recipe, it generates one for each number of workers up to the cores, with
+--episodes of every task. Rendering is measured in one process. Reading is measured with
 batches of 32 shuffled samples: in two processes that fill shared memory, in the two
-threads of the package's own loader, by torch's DataLoader where torch is installed, and
-per second of processor time with samples stacked one by one. Files are read before they
-are measured, so that they come from the cache of the disk.
+threads of the package's own loader, in torch's DataLoader if torch is installed, and
+per second of CPU time with samples stacked one by one. Files are read once before, so
+that they are in the disk cache.
 """
 
 import argparse
@@ -64,7 +64,7 @@ def measure(recipe: Path, folder: Path, seconds: float) -> dict[str, Any]:
     """Return all figures."""
     figures: dict[str, Any] = {"machine": describe_machine()}
     frames = folder / "keyframes"
-    # The first pictures compile and start things, which is not counted.
+    # A warm-up: the first images include compilation and start-up.
     (first, *_) = RenderConfig(recipe=recipe, out=frames).groups()
     warm = RenderConfig(recipe=recipe, out=frames, tasks=(first[0].stem,))
     before = render(warm, KeyframeForm(), ProcessPool(1))
@@ -134,11 +134,11 @@ def read_rate(dataset: KeyframeDataset, seconds: float) -> float:
 
 
 def torch_rate(dataset: KeyframeDataset, workers: int, seconds: float) -> float:
-    """Return samples per second of torch's loader, which is asked for batches."""
-    # Optional: nothing else here needs it.
+    """Return samples per second of torch's loader, with a sampler of batches."""
+    # A late import, because torch is optional.
     data = import_module("torch.utils.data")
     order = np.random.default_rng(0)
-    # More than can be read, because a second pass would start workers anew.
+    # More batches than can be read, because a second epoch would restart the workers.
     count = int(1000 * seconds)
     batches = [order.integers(len(dataset), size=BATCH).tolist() for _ in range(count)]
     loader = iter(
@@ -153,7 +153,7 @@ def torch_rate(dataset: KeyframeDataset, workers: int, seconds: float) -> float:
 
 
 def cpu_rate(dataset: KeyframeDataset, seconds: float) -> float:
-    """Return samples per second of a processor's time, whatever else it does.
+    """Return samples per second of CPU time.
 
     Samples are stacked one by one in new memory, as torch does by default.
     """
@@ -174,7 +174,7 @@ def arrays_of(sample: dict[str, Any]) -> list[str]:
 
 
 def work(dataset: KeyframeDataset, name: str, free: Any, full: Any, seed: int) -> None:
-    """Fill one batch after the other, for ever."""
+    """Fill one batch after another, without end."""
     shared = SharedMemory(name)
     order = np.random.default_rng(seed)
     for index in range(len(dataset)):
@@ -190,7 +190,7 @@ def work(dataset: KeyframeDataset, name: str, free: Any, full: Any, seed: int) -
 def slot_arrays(
     dataset: KeyframeDataset, shared: SharedMemory, slot: int
 ) -> dict[str, Any]:
-    """Return a batch whose images lie in shared memory."""
+    """Return a batch whose images are in shared memory."""
     batch = dataset.batch(range(BATCH))
     offset = slot * (shared.size // SLOTS)
     for name in arrays_of(dataset[0]):

@@ -1,9 +1,9 @@
-"""Measure how fast episodes become pictures, with each renderer and at three sizes.
+"""Measure the speed of rendering episodes, with each renderer and at three sizes.
 
     python scripts/measure_filming.py --workers 16
 
-Worker processes do what an export does, all at the same time: execute an episode again,
-render its states, encode a video of each camera. Each stage is timed by itself.
+Worker processes run the stages of an export at the same time: execute an episode again,
+render its states, and encode a video of each camera. Each stage is timed separately.
 """
 
 import argparse
@@ -29,32 +29,32 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import SUITE, load_instance
 
 SIZES = ((128, 128), (224, 224), (640, 480))
-"""Width and height of the pictures [px]."""
+"""Width and height of the images [px]."""
 ALL_IMAGES = 3_000_000
-"""About what all 6,400 episodes have at 10 Hz, of two cameras."""
+"""Approximate number of images of all 6,400 episodes at 10 Hz, of two cameras."""
 _LEAST_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class FilmingFigures:
-    """How fast episodes become pictures with one renderer, at one size."""
+    """Speed of one renderer at one size."""
 
     renderer: str
     drawn_by: str
-    """The software and the device that draw."""
+    """The software and the device of the rendering."""
     width: int
     height: int
     workers: int
     replay_ms: float
-    """To execute an episode again, per state: a picture of each of two cameras."""
+    """Time to execute an episode again, per state; a state has two images [ms]."""
     render_ms: float
-    """To render color and no depth, per picture."""
+    """Time to render color without depth, per image [ms]."""
     encode_ms: float
-    """To encode H.264, per picture."""
+    """Time to encode H.264, per image [ms]."""
     images_per_s: float
-    """Pictures of all workers together, rendered and encoded [1/s]."""
+    """Rendered and encoded images of all workers per second [1/s]."""
     all_minutes: float
-    """For :data:`ALL_IMAGES` at this rate [min]."""
+    """Time for :data:`ALL_IMAGES` at this rate [min]."""
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data, ready for JSON."""
@@ -66,7 +66,7 @@ class FilmingFigures:
 
 @dataclass(slots=True)
 class _Times:
-    """Time that one worker needed for each stage [s]."""
+    """Times of one worker for each stage [s]."""
 
     drawn_by: str = ""
     states: int = 0
@@ -86,16 +86,16 @@ def measure_filming(
     sizes: Sequence[tuple[int, int]] = SIZES,
     least_s: float = _LEAST_S,
 ) -> list[FilmingFigures]:
-    """Measure every renderer that makes sense here: OpenGL, and what is chosen.
+    """Measure OpenGL and the chosen renderer.
 
     Args:
-        instances: Episodes; the expert solves them first.
-        workers: Processes.
-        sizes: Width and height of the pictures [px].
-        least_s: Time that each worker goes on for [s].
+        instances: Instances, which the expert solves first.
+        workers: Number of processes.
+        sizes: Width and height of the images [px].
+        least_s: Shortest duration of each worker's measurement [s].
 
     Raises:
-        RenderingError: Nothing renders here.
+        RenderingError: No renderer works here.
     """
     records = [record_episode(instance) for instance in instances]
     found = []
@@ -135,16 +135,16 @@ def _figures(how: Style, times: Sequence[_Times]) -> FilmingFigures:
 def time_filming(
     records: Sequence[EpisodeRecord], how: Style, least_s: float
 ) -> _Times:
-    """Film episodes, one after the other and then again, for some time.
+    """Render episodes in a loop for some time.
 
     Args:
         records: The episodes.
-        how: How to film them.
-        least_s: How long to go on [s].
+        how: Options of the rendering.
+        least_s: Shortest duration [s].
     """
     rig = how.rig()
     times = _Times(drawn_by=rig.describe())
-    # Compilation and start-up are not measured.
+    # A warm-up, to exclude compilation and start-up.
     _film_once(records[0], how, _Times())
     number = 0
     while times.total_s < least_s:
@@ -154,7 +154,7 @@ def time_filming(
 
 
 def _film_once(record: EpisodeRecord, how: Style, times: _Times) -> None:
-    """Film an episode and add what each stage took."""
+    """Render an episode, and add the time of each stage."""
     cameras = how.cameras_of(robots_of(record))
     rig = how.rig()
     start = time.perf_counter()
@@ -179,10 +179,10 @@ def _film_once(record: EpisodeRecord, how: Style, times: _Times) -> None:
 
 
 def encode(frames: NDArray[np.uint8], hz: int) -> bytes:
-    """Return a video, encoded by one thread, as exports are.
+    """Return a video, encoded by one thread, as in exports.
 
     Args:
-        frames: Color, shape (frames, height, width, 3); both sides even.
+        frames: Color, (frames, height, width, 3) uint8, with even height and width.
         hz: Frames per second.
     """
     file = io.BytesIO()
@@ -200,7 +200,7 @@ def encode(frames: NDArray[np.uint8], hz: int) -> bytes:
 
 
 def main() -> None:
-    """Print the figures, one JSON object a line."""
+    """Print the figures, one JSON object per line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", type=int, default=usable_cores())
     workers = parser.parse_args().workers

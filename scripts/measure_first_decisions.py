@@ -1,8 +1,8 @@
-"""Measure which parts of a planner's first decision are the expert's.
+"""Measure how often the parts of a planner's first decision equal the expert's.
 
     python scripts/measure_first_decisions.py episodic-transformer pass stack poke hook
 
-Each instance of the validation split is seen once, before anything has moved, with its
+The planner gets the first view of each instance of the validation split, with its
 high-level instruction.
 """
 
@@ -23,7 +23,7 @@ INSTANCES = 40
 
 
 def main() -> None:
-    """Measure."""
+    """Measure, and print the shares by task."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("weights")
     parser.add_argument("tasks", nargs="+")

@@ -1,4 +1,4 @@
-r"""Measure what reading and assembling LeRobotDatasets cost, on an export.
+r"""Measure the time to read and to assemble LeRobotDatasets, on an export.
 
 In an environment with lerobot:
 
@@ -7,8 +7,8 @@ In an environment with lerobot:
         --environment-state sentence --out data/few-videos
     python scripts/measure_lerobot.py data/few-videos --copies 289
 
-Samples are read in one process: two cameras and a chunk of 20 actions, as ACT asks for.
-Assembled are copies of the data set, as if each were a shard.
+One process reads samples with two cameras and a chunk of 20 actions, as for ACT. The
+assembly uses copies of the data set as shards.
 """
 
 import argparse
@@ -29,7 +29,7 @@ SAMPLES, SAMPLES_UNPACKED = 100, 2_000
 
 
 def reading_ms(dataset: Any, samples: int) -> float:
-    """Return the processor time that a sample takes [ms]."""
+    """Return the CPU time of a sample [ms]."""
     drawn = np.random.default_rng(0).integers(len(dataset), size=samples)
     dataset[0]
     begin = process_time()
@@ -39,7 +39,7 @@ def reading_ms(dataset: Any, samples: int) -> float:
 
 
 def measure_reading(root: Path) -> tuple[float, float]:
-    """Return processor time of a sample, by lerobot and unpacked [ms]."""
+    """Return the CPU time of a sample with lerobot's reader and unpacked [ms]."""
     module = import_module("lerobot.datasets.lerobot_dataset")
     import_module("torch").set_num_threads(1)
     fps = module.LeRobotDataset("lemma/x", root=root).meta.fps
@@ -58,7 +58,7 @@ def measure_reading(root: Path) -> tuple[float, float]:
 
 
 def measure_assembly(root: Path, copies: int, workers: int | None) -> float:
-    """Return how long copies of a data set take to become one [s]."""
+    """Return the time to assemble copies of a data set [s]."""
     with tempfile.TemporaryDirectory() as folder:
         links = [Path(folder, f"{number:06d}") for number in range(copies)]
         for link in links:
@@ -69,7 +69,7 @@ def measure_assembly(root: Path, copies: int, workers: int | None) -> float:
 
 
 def main() -> None:
-    """Print what was measured."""
+    """Measure, and print the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("root", type=Path)
     parser.add_argument("--copies", type=int, default=289)

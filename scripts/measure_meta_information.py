@@ -1,11 +1,11 @@
-"""Measure how much tables tell without a look at them.
+"""Measure how well meta-information predicts tasks and robots, without images.
 
     python scripts/measure_meta_information.py [SPLITS]
 
-A small network is trained on meta-information: the arms, where their bases stand, and
-the number of cubes and pads. It guesses which robot of the expert's plan acts first,
-and which of the tasks with the same sentence it is. The shares of right guesses are
-those of ten-fold cross-validation over the frozen lists.
+A small network is trained on meta-information: the arms, the poses of their bases, and
+the numbers of cubes and pads. It predicts the first robot of the expert's plan, and the
+task among those with the same form of sentence. The accuracies are from ten-fold
+cross-validation over the frozen lists.
 """
 
 import sys
@@ -24,12 +24,12 @@ from lemma.tasks.suite import SUITE, load_instance
 
 FOLDS = 10
 SAME_SENTENCE = (("pass", "poke", "hook"), ("stack", "poke_stack", "hook_stack"))
-"""Tasks whose sentences are of one form."""
+"""Tasks whose sentences have the same form."""
 _EPOCHS, _WIDTH = 150, 32
 
 
 def meta_information(instance: Instance) -> list[float]:
-    """Return all that is known of an instance without a look at the table."""
+    """Return the features of an instance that need no image."""
     robots = instance.scene.robots
     kinds = [placed.kind for placed in instance.scene.objects]
     return [
@@ -40,7 +40,7 @@ def meta_information(instance: Instance) -> list[float]:
 
 
 def first_robot(instance: Instance) -> int:
-    """Return the number of the robot with which the expert's plan begins."""
+    """Return the number of the first robot in the expert's plan."""
     spec = instance.scene
     movable = [o.name for o in spec.objects if not o.entity.kind.fixed]
     state = SymbolicState(
@@ -56,7 +56,7 @@ def first_robot(instance: Instance) -> int:
 
 
 def share_right(features: Sequence[Sequence[float]], labels: Sequence[int]) -> float:
-    """Return the share of right guesses in cross-validation, in [0, 1]."""
+    """Return the accuracy in cross-validation, in [0, 1]."""
     x = torch.tensor(features, dtype=torch.float32)
     x = (x - x.mean(0)) / x.std(0).clamp(min=1e-6)
     y = torch.tensor(labels)
@@ -86,7 +86,7 @@ def instances(task: str, splits: Sequence[str] = tuple(SPLITS)) -> list[Instance
 
 
 def main() -> None:
-    """Print both shares for every task."""
+    """Print both accuracies for every task."""
     splits = sys.argv[1].split(",") if len(sys.argv) > 1 else tuple(SPLITS)
     listed = {task: instances(task, splits) for task in SUITE}
     features = {task: [meta_information(i) for i in listed[task]] for task in SUITE}

@@ -1,13 +1,12 @@
-"""Train ReachNet's reader of sentences alone, with no images, and measure it.
+"""Train ReachNet's reader of sentences alone, without images, and measure it.
 
     python scripts/measure_reading.py --steps 1500
 
-It learns from what training says: templates and paraphrases of random goals. Then it
-reads the sentences of ``tests/policies/sentences/voices.toml``, which nobody learns
-from, with and without knowing which things are on the table. ``--without step cleft``
-leaves rules of the grammar out, so that one sees what it makes of ways of speaking that
-it was never taught. ``--unseen`` also reads the held-out templates: not to choose
-options by.
+It trains on templates and paraphrases of random goals. Then it reads the sentences of
+``tests/policies/sentences/voices.toml``, which are in no training data, with and
+without the information about which objects are in the scene. ``--without step cleft``
+leaves out rules of the grammar, to measure the generalisation to other sentence forms.
+``--unseen`` also reads the held-out templates; do not choose options with these.
 """
 
 import argparse
@@ -49,7 +48,7 @@ FAMILIES = {
 }
 _EMA = 0.998
 _POOLED = 8
-"""Batches that share their sentences, so that those of one length come together."""
+"""Number of batches whose sentences are sorted by length together."""
 Asked = tuple[str, Template]
 CPU = torch.device("cpu")
 
@@ -66,7 +65,7 @@ def draw_goal(kinds: Sequence[tuple[str, str]], rng: np.random.Generator) -> Goa
 
 
 def draw_scene(goal: GoalPairs, rng: np.random.Generator) -> Tensor:
-    """Return which entities lie on a table, (entities,) bool: up to 3 distractors."""
+    """Return the entities of a scene with up to 3 distractors, (entities,) bool."""
     present = torch.zeros(len(ENTITIES), dtype=torch.bool)
     present[[ENTITIES.index(name) for pair in goal for name in pair]] = True
     colored = [i for i, name in enumerate(ENTITIES) if name != "stick"]
@@ -76,7 +75,7 @@ def draw_scene(goal: GoalPairs, rng: np.random.Generator) -> Tensor:
 
 
 def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
-    """Return the kinds of a task's goal."""
+    """Return the kinds of the pairs of a task's goal."""
     found = templates(task, "high_level")[0].entity_kinds
     assert found is not None
     return found
@@ -85,7 +84,7 @@ def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
 def batches(
     rules: Grammar, options: argparse.Namespace
 ) -> Iterator[tuple[list[str], Tensor, Tensor]]:
-    """Yield sentences, their goals and the reasons why some have none."""
+    """Yield sentences, their goals, and the reasons for refusal."""
     rng, bank = stream("reading", options.seed), refusal_bank()
     for _ in range(-(-options.steps // _POOLED)):
         pool = []
@@ -110,13 +109,13 @@ def batches(
 
 
 def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
-    """Return a reader that has learned."""
+    """Return a trained reader."""
     torch.manual_seed(options.seed)
     reader = GoalReader(ReaderConfig())
     if options.start:
         found = load_model(options.start)
         assert isinstance(found, ReachNet)
-        # Missing parts, such as the one that refuses, begin anew.
+        # Parts that are missing in older weights keep their initial values.
         reader.load_state_dict(found.reader.state_dict(), strict=False)
     optimizer = torch.optim.AdamW(reader.parameters(), options.rate, weight_decay=0.02)
     steps = -(-options.steps // _POOLED) * _POOLED
@@ -147,7 +146,7 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
 def measure(
     reader: GoalReader, asked: list[Asked], draws: int, *, scenes: bool
 ) -> dict[Asked, float]:
-    """Return how often all of a goal is read, by group and template."""
+    """Return how often the whole goal is right, by group and template."""
     rng = stream("reading", "asked")
     found = {}
     for group, template in asked:
@@ -173,7 +172,7 @@ def voices() -> list[Asked]:
 
 
 def report(title: str, scores: dict[Asked, float], low: float) -> None:
-    """Print the means by each word of the groups, and what is read worst."""
+    """Print the means by each word of the groups, and the worst templates."""
     groups: dict[str, list[float]] = defaultdict(list)
     for (group, _), score in scores.items():
         for word in group.split():
@@ -186,7 +185,7 @@ def report(title: str, scores: dict[Asked, float], low: float) -> None:
 
 
 def main() -> None:
-    """Train and measure."""
+    """Train or load a reader, and measure it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--batch", type=int, default=64)

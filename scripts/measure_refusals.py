@@ -1,17 +1,17 @@
-"""Measure what a reader refuses, and whether its certainty means what it says.
+"""Measure the refusals of a reader, and the calibration of its certainty.
 
     python scripts/measure_refusals.py reachnet
 
-It reads orders: the human and unseen templates of the benchmark, the voices and those
-of the evaluation bank, and the sentences of that bank that are none
-(``tests/policies/sentences/refusals.toml``); each with random colors, on a table with
-up to three distractors. Printed are readings that are right, wrong or refused, then
-certainty against how often it is right, and the expected calibration error.
-``--fit`` prints the temperature that suits the lines kept from training, and voices;
-``--kept`` reads these instead of the evaluation bank and templates, so that one can
-choose by them.
-``--as-before`` refuses as the page did when readers could not: below 50 % and after
-"not".
+The orders are the human and unseen templates of the benchmark, the voices, and orders
+of the evaluation bank. The sentences to refuse are from that bank
+(``tests/policies/sentences/refusals.toml``). Each has random colors, in a scene with up
+to three distractors. The first table has the shares of right, wrong and refused
+readings; the second one has the accuracy by certainty, and the expected calibration
+error.
+``--fit`` prints the temperature that fits the held-out lines and the voices.
+``--kept`` reads these instead of the evaluation bank and templates, to choose options.
+``--as-before`` refuses by the rule for readers without refusals: certainty below 50 %,
+or the word "not".
 """
 
 import argparse
@@ -49,12 +49,12 @@ _EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 
 class Said(NamedTuple):
-    """A sentence with its right answer."""
+    """A sentence with its right reading."""
 
     group: str
     text: str
     goal: GoalPairs
-    """Empty if it is to be refused."""
+    """The goal; empty for a sentence to refuse."""
 
 
 class Answers(NamedTuple):
@@ -63,7 +63,7 @@ class Answers(NamedTuple):
     right: torch.Tensor
     refused: torch.Tensor
     stops: torch.Tensor
-    """Whether the policy stops, which takes more than that it is rather no order."""
+    """Whether the policy stops, whose threshold is higher than that of a refusal."""
     certainty: torch.Tensor
 
 
@@ -99,13 +99,13 @@ def asked(bank: RefusalBank, draws: int) -> Iterator[Said]:
 
 
 def kept(draws: int) -> list[Said]:
-    """Return what options are chosen by: lines kept from training, and voices."""
+    """Return the sentences for choosing options: held-out lines and voices."""
     said = [one for one in orders(draws) if one.group == "voices"]
     return [*said, *asked(refusal_bank(kept=True), draws)]
 
 
 def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers:
-    """Return what a reader makes of sentences on random tables."""
+    """Return a reader's readings of sentences in random scenes."""
     rng = stream("refusals", "tables")
     found: list[tuple[bool, bool, bool, float]] = []
     for start in range(0, len(said), 64):
@@ -123,7 +123,7 @@ def answers(reader: GoalReader, said: list[Said], *, as_before: bool) -> Answers
                 sure = float(read.refused[row])
             right = bool(one.goal) and bool(same[row])
             if not as_before:
-                # Before, its certainty was of the goal alone.
+                # By the earlier rule the certainty is that of the goal alone.
                 right = no if not one.goal else right and not no
             stops = float(read.refused[row]) >= reader.config.refuse_from
             found.append((right, no, stops and not as_before, sure))
@@ -136,7 +136,7 @@ def _any(rng: np.random.Generator) -> GoalPairs:
 
 
 def ece(found: Answers) -> float:
-    """Return the expected calibration error, in ten bins as wide as each other."""
+    """Return the expected calibration error, with ten bins of equal width."""
     bins = (found.certainty * 10).long().clamp(max=9)
     error = 0.0
     for number in range(10):
@@ -182,7 +182,7 @@ def report(said: list[Said], found: Answers) -> None:
 
 
 def fitted(reader: GoalReader) -> float:
-    """Return the temperature that makes kept lines and voices likeliest."""
+    """Return the most likely temperature for held-out lines and voices."""
     said = kept(12)
     config, best = reader.config, (np.inf, 1.0)
     for value in np.arange(0.6, 4.05, 0.1).tolist():
@@ -196,7 +196,7 @@ def fitted(reader: GoalReader) -> float:
 
 
 def main() -> None:
-    """Measure."""
+    """Measure, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("weights", help="of ReachNet, by name or file")
     parser.add_argument("--reader", type=Path, help="a reader by measure_reading.py")

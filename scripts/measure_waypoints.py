@@ -1,11 +1,11 @@
-"""How far a policy's waypoint is off, while the arms still stand and after.
+"""Measure the errors of a policy's waypoints, before and after arms begin to move.
 
     python scripts/train_lerobot_policy.py film data/recipe /tmp/val --split val
     python scripts/measure_waypoints.py /tmp/val CHECKPOINT
 
-A policy that has not found out where things are, but reads off an arm's motion where it
-goes, is far off in the first frames of an episode and right in later ones. It is given
-what the demonstrations show; nothing is simulated.
+A policy that infers the target from an arm's motion instead of the images has large
+errors in the first frames of an episode and small ones later. The policy gets the
+observations of the demonstrations, without a simulation.
 """
 
 import argparse
@@ -22,20 +22,20 @@ from lemma.env.learning.motor_state import MOTORS, WAYPOINT
 from lemma.policies.control.checkpoint_file import checkpoint_folder
 
 FRAMES = (0, 1, 2, 3, 5, 8)
-"""After the beginning of an episode."""
+"""Numbers of frames after the start of an episode."""
 SHARES = (0.25, 0.5, 0.75)
 
 
 @torch.no_grad()
 def errors_m(film: Film, checkpoint: str) -> dict[int, torch.Tensor]:
-    """Return how far the worse robot's waypoint is off over the table, by frame.
+    """Return the horizontal error of the worse robot's waypoint, by frame.
 
     Args:
-        film: The filmed demonstrations.
+        film: The rendered demonstrations.
         checkpoint: A folder, or the name of published weights.
 
     Returns:
-        (episodes,) [m] for each of :data:`FRAMES` after the beginning of an episode.
+        (episodes,) [m] for each of :data:`FRAMES`.
     """
     with checkpoint_folder(checkpoint) as folder:
         config = PreTrainedConfig.from_pretrained(folder)

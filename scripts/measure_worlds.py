@@ -1,11 +1,11 @@
-"""How far the worlds of a GPU are from the CPU: one line of JSON for each task.
+"""Measure differences between the GPU's worlds and the CPU, as JSON per task.
 
 python scripts/measure_worlds.py [WORLDS] [TASK ...]
 
-The expert's motor commands are replayed in many worlds, whose objects begin up to a
-millimetre away in all but the first one. Then states of the expert's episode are put
-into the worlds, and what is rewarded and observed there is compared. Speed is measured
-by `lemma bench --gpu`.
+The expert's motor commands are replayed in many worlds; except in the first one, the
+objects' initial positions differ by up to a millimeter. Then the worlds are set to
+states of the expert's episode, to compare rewards and observations. `lemma bench --gpu`
+measures speed.
 """
 
 import json
@@ -27,7 +27,7 @@ from lemma.warp.graphs import launched
 from lemma.warp.vector_env import GpuVecEnv
 
 EVERY = 50
-"""Physics steps from one state that is compared to the next."""
+"""Physics steps between two compared states."""
 NEAR_M = 0.015
 TASKS = ("reach", "lift", "place", "hand_over", "pass", "stack", "pass2", "stack2")
 
@@ -43,10 +43,10 @@ class Played:
     states: list[tuple[FloatArray, FloatArray, float, NDArray[np.float32]]] = field(
         default_factory=list
     )
-    """Now and then: positions, velocities, potential, goal state."""
+    """Every :data:`EVERY` steps: positions, velocities, potential, goal state."""
 
     def note(self) -> None:
-        """Note one physics step."""
+        """Record one physics step."""
         data = self.episode.simulation.scene.data
         self.commands.append(data.ctrl.copy())
         if len(self.commands) % EVERY == 0:
@@ -56,7 +56,7 @@ class Played:
 
 
 def play(instance: Any) -> Played:
-    """Let the expert play an instance."""
+    """Solve an instance with the expert, and record the episode."""
     episode = Episode(instance)
     scene = episode.simulation.scene
     played = Played(episode, scene.data.qpos.copy())
@@ -73,10 +73,10 @@ def play(instance: Any) -> Played:
 
 
 class Slots:
-    """Where joints of the CPU's scene are in the GPU's, which has other objects."""
+    """Map from the CPU's joints to those of the GPU's model, which has more objects."""
 
     def __init__(self, env: GpuVecEnv, played: Played) -> None:
-        """Match movable objects by where they begin."""
+        """Match movable objects by their initial positions."""
         ours = played.episode.simulation.scene
         theirs, begin = env.pool.scene, env.pool.rows["qpos"][0]
         self.names: dict[str, int] = {}
@@ -115,13 +115,13 @@ class Slots:
 
 
 def agreement(task: str, worlds: int, device: str | None = None) -> dict[str, Any]:
-    """Return how far many worlds are from the CPU.
+    """Return the differences between many worlds and the CPU.
 
     Returns:
-        ``objects``: for each, the median distance of its ends [mm], and the share of
-        worlds in which it is less than 15 mm; ``success`` on the CPU and the share in
-        the worlds; ``potential`` and ``goal_state``: median and largest difference in
-        equal states.
+        ``objects``: for each, the median distance between its final positions [mm], and
+        the share of worlds with less than 15 mm; ``success`` on the CPU, and its share
+        in the worlds; ``potential`` and ``goal_state``: median and largest difference
+        in equal states.
     """
     env = GpuVecEnv(task, worlds, pool=1, control_hz=100.0, seed=7, device=device)
     env.reset()
@@ -149,7 +149,7 @@ def agreement(task: str, worlds: int, device: str | None = None) -> dict[str, An
 
 
 def look(env: GpuVecEnv) -> None:
-    """Work out what holds in the worlds as they are."""
+    """Update the signals from the present states of the worlds."""
     launched(env._note_touches, env.device)()
     env._place_hands()
     env.signals.look()
@@ -162,11 +162,11 @@ def share(env: GpuVecEnv) -> float:
 
 
 def replay(env: GpuVecEnv, log: list[FloatArray]) -> None:
-    """Give all worlds the same motor commands."""
+    """Run the same motor commands in all worlds."""
     commands = torch.tensor(np.array(log), dtype=torch.float32, device=env.device)
     env.ctrl[:] = commands[0]
     step = launched(lambda: mjw.step(env.model, env.data), env.device)
-    # On a GPU one step was taken to record it.
+    # On a GPU, recording the graph has executed one step.
     for row in commands[1:] if env.device.startswith("cuda") else commands:
         env.ctrl[:] = row
         step()

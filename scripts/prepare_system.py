@@ -1,8 +1,9 @@
-"""Install what pip cannot: off-screen OpenGL and Python's venv module.
+"""Install system packages: off-screen OpenGL and Python's venv module.
 
-Run by ``make setup`` before any package is there, so it uses the standard library
-only. As root on Debian and Ubuntu it calls apt; elsewhere it says what to install.
-With ``--browser``, for ``make setup-dev``, it does the same for Chromium.
+``make setup`` runs it before the installation of packages, so it uses the standard
+library only. As root on Debian and Ubuntu it calls apt; elsewhere it prints the names
+of the packages. With ``--browser``, for ``make setup-dev``, it does the same for
+Chromium.
 """
 
 import ctypes
@@ -13,7 +14,7 @@ import subprocess
 import sys
 
 EGL_PACKAGES = ["libegl1", "libgl1", "libgl1-mesa-dri"]
-# Newer distributions no longer have it, so it is asked for only if EGL fails.
+# Installed only if EGL fails, because newer distributions lack it.
 OSMESA_PACKAGES = ["libosmesa6"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 EGL_PLATFORM_DEVICE_EXT = 0x313F
@@ -35,39 +36,39 @@ def main() -> int:
         if not has_opengl():
             say(
                 "No library for off-screen OpenGL (EGL or OSMesa) works here, so "
-                "pictures and videos cannot be made; the rest works. "
+                "images and videos cannot be rendered; the rest works. "
                 f"Install one: {advice(EGL_PACKAGES)}"
             )
     return 0
 
 
 def prepare_browser() -> int:
-    """Install Chromium where there is no browser for the tests of pages; return 0."""
+    """Install Chromium if there is no browser for the tests of pages; return 0."""
     if not has_browser() and sys.platform == "linux":
         install(["chromium"])
         if not has_browser():
             say(
-                "There is no Chromium, so tests of pages in a browser are left out. "
+                "There is no Chromium, so tests of pages in a browser are skipped. "
                 f"Install it: {advice(['chromium'])}"
             )
     return 0
 
 
 def has_browser() -> bool:
-    """Whether a browser of the kind that the tests drive is on the path."""
+    """Return whether a supported browser for the tests is on the path."""
     return any(shutil.which(name) for name in BROWSERS)
 
 
 def has_venv() -> bool:
-    """Whether ``python -m venv`` can put pip into an environment."""
+    """Return whether ``python -m venv`` can install pip."""
     importlib.invalidate_caches()
     return all(importlib.util.find_spec(name) for name in ("venv", "ensurepip"))
 
 
 def has_opengl() -> bool:
-    """Whether EGL or OSMesa works.
+    """Return whether EGL or OSMesa works.
 
-    A child process finds out: a broken driver may end the process that loads it.
+    The test runs in a child process, because a broken driver may crash it.
     """
     return any(
         subprocess.run(
@@ -81,7 +82,7 @@ def has_opengl() -> bool:
 
 
 def egl_works() -> bool:
-    """Whether EGL starts on one of its devices, the way in which MuJoCo asks for it."""
+    """Return whether EGL starts on one of its devices, with MuJoCo's calls."""
     ctypes.CDLL("libGL.so.1")
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetProcAddress.restype = ctypes.c_void_p
@@ -106,12 +107,12 @@ def egl_works() -> bool:
 
 
 def osmesa_works() -> bool:
-    """Whether OSMesa can be loaded."""
+    """Return whether OSMesa can be loaded."""
     return any(loads(name) for name in ("libOSMesa.so.8", "libOSMesa.so.6"))
 
 
 def loads(library: str) -> bool:
-    """Whether a shared library can be loaded."""
+    """Return whether a shared library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -123,7 +124,7 @@ PROBES = {"egl": egl_works, "osmesa": osmesa_works}
 
 
 def install(packages: list[str]) -> None:
-    """Install packages with apt where that is possible, or do nothing."""
+    """Install packages with apt if possible; otherwise do nothing."""
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
         return
     say(f"Installing {' '.join(packages)} with apt ...")
@@ -145,11 +146,11 @@ def install(packages: list[str]) -> None:
 def advice(packages: list[str]) -> str:
     """Return the command that installs packages."""
     names = " ".join(packages)
-    return f"sudo apt-get install {names} (Debian, Ubuntu), or your system's like."
+    return f"sudo apt-get install {names} (Debian, Ubuntu), or as your system does it."
 
 
 def say(text: str) -> None:
-    """Tell the user, on the error stream."""
+    """Print a message to standard error."""
     print(f"setup: {text}", file=sys.stderr, flush=True)
 
 

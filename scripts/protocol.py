@@ -1,7 +1,7 @@
 """Freeze the protocol, and write docs/protocol.md from it.
 
-Run from the repository: ``python scripts/protocol.py``. A protocol that has results is
-changed under a new name, ``NAME`` in ``lemma.evaluation.protocol.rules``.
+Run from the repository: ``python scripts/protocol.py``. If a protocol has results, a
+changed one needs a new name, ``NAME`` in ``lemma.evaluation.protocol.rules``.
 """
 
 import json
@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lemma.core.workers.resumable import flat
 from lemma.evaluation.protocol.rules import PROTOCOL, in_force
 from lemma.evaluation.protocol.suites import OTHERS, definition, sha256_of
 
@@ -27,30 +26,31 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 | `{name}` | `{sha256}` |
 {suites}
 
-- **Results quote it.** It is computed from the code, the data and the
-  version of MuJoCo when an evaluation begins; `about.json` and every summary hold the
-  hash. With another release of MuJoCo it is another one.
+- **Results quote it.** It is computed from code, data and the version of MuJoCo when an
+  evaluation begins; `about.json` and every summary hold the hash.
 - **Protocols are not mixed.** `lemma evaluate` refuses a folder of another protocol;
   `lemma report`, `lemma reproduce` and `lemma compare` refuse results of different
   ones.
 - **Free choices** stand beside it in `about.json`: the policy with its weights, the
   split, what is said (`--language`), and where objects begin (`--perturb-start`).
-- **Skills are held by their effect.** The expert's time for every frozen instance of
-  val and test is part of the protocol: whoever changes skills, physics or the expert
-  changes it.
-- **Other suites have a hash each**, of their tasks, lists and goals, which results
-  quote beside the protocol's under `suites`; so the protocol stays when they grow.
-  Results with different lists of a suite are not mixed. `pass`, `stack`, `poke` and
-  `hook` are of the protocol. There are no blind sentences and no times of the expert
-  for the other tasks.
+- **Skills are held by their effect.** The expert's times on all instances of val and
+  test are part of the protocol: whoever changes skills, physics or the expert changes
+  it.
+- **Other suites have a hash each**, of their tasks, lists and goals, under `suites` in
+  results; so the protocol stays when they grow. `pass`, `stack`, `poke` and `hook` are
+  of the protocol. The other tasks have no blind sentences and no times of the expert.
 
-[](evaluation.md) explains the words.
+[](evaluation.md) explains the words. The SHA-256 of each list of instances stands in
+`protocol.json` alone; the rest of the file:
+
+```{{protocol}}
+```
 """
 
 
 def text(protocol: Mapping[str, Any]) -> str:
     """Return the page of a protocol."""
-    page = _INTRODUCTION.format(
+    return _INTRODUCTION.format(
         name=protocol["name"],
         sha256=sha256_of(protocol),
         suites="\n".join(
@@ -58,26 +58,6 @@ def text(protocol: Mapping[str, Any]) -> str:
             for suite in OTHERS
         ),
     )
-    simple = {k: v for k, v in protocol.items() if not isinstance(v, Mapping)}
-    page += _table("In general", {k: v for k, v in simple.items() if k != "name"})
-    for title, part in protocol.items():
-        if isinstance(part, Mapping):
-            heading = title.replace("_", " ").replace("sha256", "by SHA-256")
-            page += _table(heading[0].upper() + heading[1:], dict(flat(part)))
-    return page
-
-
-def _table(title: str, values: Mapping[str, Any]) -> str:
-    lines = [f"| `{name}` | {_shown(v)} |" for name, v in values.items()]
-    return f"\n## {title}\n\n| what | value |\n|:---|:---|\n" + "\n".join(lines) + "\n"
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, list):
-        return ", ".join(f"`{one}`" for one in value)
-    if isinstance(value, str) and " " not in value:
-        return f"`{value}`"
-    return str(value)
 
 
 if __name__ == "__main__":

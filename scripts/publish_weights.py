@@ -1,4 +1,4 @@
-"""Add weights to those that are published, check them, and upload them.
+"""Pack weights for publication, check them, and upload them.
 
 Run from the repository:
 
@@ -8,14 +8,14 @@ Run from the repository:
     python scripts/publish_weights.py compare out/reachnet results/reachnet/seed-0.json
     python scripts/publish_weights.py upload OWNER/NAME
 
-``pack`` rounds the weights of a training run, of ``lemma train`` or of LeRobot, into
-``weights/``; ``compare`` tells whether a policy still does what it did before;
-``upload`` pins what it uploads by its revision.
+``pack`` quantises the weights of a training run, of ``lemma train`` or of LeRobot, into
+``weights/``; ``compare`` compares a policy's decisions with earlier ones; ``upload``
+pins the revision of the upload.
 
-Steps of the rounding are shares of a tensor's standard deviation. Poses hang on small
-matrices and kernels, at the ends of a network and at its highest resolution, which are
-rounded more finely; kernels of many channels, which hold most of the weights, see
-coarse maps. Everything else stays in 16 bits.
+Quantisation steps are shares of a tensor's standard deviation. Poses depend on small
+matrices and kernels, at the ends of a network and at its highest resolution, which have
+finer steps. Kernels of many channels, which have most of the weights, process coarse
+maps. Everything else stays in 16 bits.
 """
 
 import argparse
@@ -59,30 +59,30 @@ from lemma.policies.weights_file import (
 )
 
 LARGEST_MB = 17.0
-"""Of one file."""
+"""Largest size of one file."""
 NEAR_MM = 1.0
-"""Poses this close are the same: less than the servos' error."""
+"""Poses this close count as equal; it is less than the servos' error."""
 CONFIG, TRAINING = "config.json", "train_config.json"
-"""Files of a checkpoint of LeRobot: of its policy, and of its training."""
+"""Files of a LeRobot checkpoint with the options of policy and training."""
 _LEAST = 1024
-"""Tensors with fewer values, and vectors, are not rounded."""
+"""Tensors with fewer values, and vectors, are not quantised."""
 _PLACES = ("pretrained_path", "device")
-"""Entries of a configuration that hold places of the machine."""
+"""Entries of a configuration that depend on the machine."""
 _SYMBOLS = ("robot", "primitive", "pick", "place", "outcome")
 
 
 @dataclass(frozen=True)
 class Fineness:
-    """How finely a model is rounded: in steps in a tensor's standard deviation."""
+    """Options of the quantisation, as steps per standard deviation of a tensor."""
 
     coarse: float
-    """Steps of large tensors; 32 make about 7 bits."""
+    """Steps for large tensors; 32 give about 7 bits."""
     fine: float = 512.0
-    """Steps of others; 512 make 11 bits, 2048 make 13."""
+    """Steps for others; 512 give 11 bits, 2048 give 13."""
     small: int = 32_768
-    """Tensors with fewer values are none of the large ones."""
+    """Tensors with fewer values do not count as large."""
     only: str = ""
-    """Expression that the names of large ones begin with; any if empty."""
+    """Regular expression for the start of large tensors' names; any if empty."""
 
 
 def pack(
@@ -92,28 +92,28 @@ def pack(
     folder: Path = CHECKOUT,
     command: str = "",
 ) -> Path:
-    """Add the weights of a training run to those that are published.
+    """Add the weights of a training run to the published ones.
 
     Args:
-        source: A file of weights in 16 bits, the folder of a run, or a checkpoint of
-            LeRobot, ``.../checkpoints/last/pretrained_model``.
-        name: Their new name.
-        fineness: How finely they are rounded.
-        folder: Where published weights lie.
-        command: The command that trained a checkpoint of LeRobot.
+        source: A file of weights in 16 bits, the folder of a run, or a LeRobot
+            checkpoint, ``.../checkpoints/last/pretrained_model``.
+        name: Name of the published weights.
+        fineness: Options of the quantisation.
+        folder: Folder of the published weights.
+        command: The command that trained a LeRobot checkpoint.
 
     Returns:
         The file.
 
     Raises:
-        WeightsError: They are missing, damaged or too large, or nobody says what
-            trained them.
+        WeightsError: The weights are missing, damaged or too large, or the command of a
+            LeRobot checkpoint is missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}{SUFFIX}"
     if is_checkpoint(source):
         if not command:
-            raise WeightsError(f"Say with --command what trained {source}.")
+            raise WeightsError(f"Name the training command of {source} with --command.")
         metadata = pack_checkpoint(source, path, command, fineness)
         source = source / MODEL
         with TemporaryDirectory() as there:
@@ -122,15 +122,15 @@ def pack(
         source = find_weights(str(source))
         metadata = read_metadata(source)
         if metadata.packed:
-            raise WeightsError(f"{source} is packed already. Take what training wrote.")
+            raise WeightsError(f"{source} is packed already. Use a training's output.")
         write_packed(path, load_weights(source).state_dict(), metadata, fineness)
         load_weights(path)
     size = path.stat().st_size
     if size > LARGEST_MB * 1e6:
         path.unlink()
         raise WeightsError(
-            f"{source} takes {size / 1e6:.1f} MB; at most {LARGEST_MB:.0f} MB are "
-            "published. Take fewer steps, or train a smaller model."
+            f"{source} takes {size / 1e6:.1f} MB, and the limit of published weights "
+            f"is {LARGEST_MB:.0f} MB. Use fewer steps, or train a smaller model."
         )
     listed = read_json(folder / LIST) if (folder / LIST).exists() else {}
     listed[name] = {
@@ -156,11 +156,11 @@ def pack(
 def rounded(
     weights: Mapping[str, Tensor], fineness: Fineness
 ) -> tuple[dict[str, Tensor], dict[str, Rounding]]:
-    """Return tensors to be written, and how those that are packed were rounded.
+    """Return tensors to write, and the quantisation of the packed ones.
 
     Args:
-        weights: By name; floating-point ones are rounded.
-        fineness: How finely.
+        weights: Tensors by name; only floating-point ones are quantised.
+        fineness: Options of the quantisation.
     """
     packed, roundings = {}, {}
     for name, value in weights.items():
@@ -184,10 +184,10 @@ def rounded(
 
 def _coded(numbers: NDArray[np.int32]) -> bytearray:
     """Return whole numbers of 16 bits as a Huffman code of their bytes."""
-    # Small numbers of either sign become small ones without: 0, -1, 1, -2, 2 ...
+    # Zigzag: small numbers of either sign become small unsigned ones.
     folded = ((numbers << 1) ^ (numbers >> 31)).astype(np.uint16)
     planes = (folded & 0xFF).astype(np.uint8), (folded >> 8).astype(np.uint8)
-    # Low bytes are noise, for which matches are not searched; most high ones are zero.
+    # Low bytes are noise without repetitions; most high bytes are zero.
     strategies = zlib.Z_HUFFMAN_ONLY, zlib.Z_DEFAULT_STRATEGY
     coded = bytearray()
     for plane, strategy in zip(planes, strategies, strict=True):
@@ -202,16 +202,16 @@ def write_packed(
     metadata: WeightsMetadata,
     fineness: Fineness,
 ) -> None:
-    """Write weights, rounded and packed, whole or not at all.
+    """Write weights, quantised and packed, atomically.
 
     Args:
         path: The file.
-        weights: By name, as a module's ``state_dict`` has them.
+        weights: A module's ``state_dict``.
         metadata: Metadata to write into it.
-        fineness: How finely they are rounded.
+        fineness: Options of the quantisation.
 
     Raises:
-        WeightsError: One does not fit into 16 bits.
+        WeightsError: A value is not finite in 16 bits.
         DatasetError: The disk is full, or the folder cannot be written to.
     """
     tensors, packed = rounded(in_16_bits(weights), fineness)
@@ -219,7 +219,7 @@ def write_packed(
 
 
 def is_checkpoint(folder: Path) -> bool:
-    """Return whether a folder is what lerobot saved."""
+    """Return whether a folder is a LeRobot checkpoint."""
     return (folder / CONFIG).is_file() and (folder / MODEL).is_file()
 
 
@@ -231,25 +231,25 @@ def pack_checkpoint(
     Args:
         folder: ``.../checkpoints/last/pretrained_model``, or that of a number of steps.
         path: The file.
-        command: Command line that trained it.
-        fineness: How finely weights are rounded.
+        command: Command line of its training.
+        fineness: Options of the quantisation.
 
     Returns:
         The metadata of the file.
 
     Raises:
-        WeightsError: A weight does not fit into 16 bits, or lerobot-train has not
-            written the folder.
-        DatasetError: It is no checkpoint, the disk is full, or the folder cannot be
-            written to.
+        WeightsError: A value is not finite in 16 bits, or the folder is not from
+            lerobot-train.
+        DatasetError: The folder is no checkpoint, the disk is full, or the folder of
+            the file cannot be written to.
     """
     config, training = read_json(folder / CONFIG), read_json(folder / TRAINING)
-    # The folder above has the number of steps for its name; the last one is a link.
+    # The name of the parent folder is the number of steps; "last" is a link to one.
     above = folder.resolve().parent.name
     if not above.isdigit():
         raise WeightsError(
-            f"{folder} does not say after how many steps it was saved. Take the folder "
-            "that lerobot-train wrote: .../checkpoints/last/pretrained_model."
+            f"The path {folder} lacks the number of steps. Use a folder that "
+            "lerobot-train wrote: .../checkpoints/last/pretrained_model."
         )
     steps = int(above)
     metadata = WeightsMetadata(
@@ -278,12 +278,12 @@ def pack_checkpoint(
 
 
 def compare(found: Path, wanted: Path) -> list[str]:
-    """Return where episodes differ: other sub-tasks, another end, other poses.
+    """Return the differences of episodes in sub-tasks, outcomes and poses, as texts.
 
     Args:
-        found: Folder that ``lemma evaluate`` wrote, or the file of a result with lines
-            beside it.
-        wanted: The same; all of ``found`` must be in it.
+        found: Folder of ``lemma evaluate``, or the file of a result with lines beside
+            it.
+        wanted: The same for the expected episodes, which include those of ``found``.
     """
     problems = []
     now, before = (
@@ -326,8 +326,8 @@ def upload(repository: str, folder: Path = CHECKOUT) -> str:
     """Upload all published weights, and pin their revision in the list.
 
     Args:
-        repository: ``"owner/name"`` of the Hub; made if there is none.
-        folder: Where published weights lie.
+        repository: ``"owner/name"`` on the Hub, which is created if it is missing.
+        folder: Folder of the published weights.
 
     Returns:
         The revision.
@@ -345,7 +345,7 @@ def upload(repository: str, folder: Path = CHECKOUT) -> str:
 
 
 def main() -> None:
-    """Do what the command line says."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description="Weights to be published.")
     verbs = parser.add_subparsers(dest="verb", required=True)
     packing = verbs.add_parser("pack", help="round and list the weights of a run")

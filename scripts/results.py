@@ -2,17 +2,21 @@
 
 Run from the repository: ``python scripts/results.py``. It writes docs/results.md with
 its figure, a page for each topic and a CSV file for each table in docs/results/.
-Without results, the page and the README say that nothing was run.
+Without results, the page and the README state that there are none.
 """
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from textwrap import fill
 
 from learning_curves import learning_curves, read_curves
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.experiments.catalog import SUITES
 from lemma.evaluation.report.policy_results import (
+    NOT_RUN,
     PolicyResults,
     entries_of,
     read_results,
@@ -64,7 +68,8 @@ TITLES = dict(
     )
 )
 BY_TASK = ": losses by task"
-"""Ends the titles of tables that are too long for a page."""
+LONG = ("Distractors", "Robot types", "Stages", "Where the points are lost")
+"""Tables that begin so, or end with :data:`BY_TASK`, are too long for a page."""
 _PAGE = """\
 # Results
 
@@ -125,13 +130,13 @@ each model has its own. [](results/rows.md#trainings) lists all trainings.*
 
 
 def entries(results: Path = RESULTS) -> list[PolicyResults]:
-    """Return what a folder of results holds, with the rows that are missing."""
+    """Return the results in a folder by policy, including rows without results."""
     found = read_results([results]) if results.exists() else []
     return entries_of(found, complete=True)
 
 
 def pages(results: Path = RESULTS) -> dict[Path, str]:
-    """Return all that is written below docs, by file."""
+    """Return the contents of all written files below docs, by path."""
     every = entries(results)
     curves = Section(
         "Learning curves",
@@ -168,7 +173,7 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
 
 
 def _on_white(figure: Figure) -> str:
-    """Return a figure as a file; its words are dark, and pages may be, too."""
+    """Return a figure's SVG with a white background, for pages in dark mode."""
     begin, end, rest = standalone(figure.svg).partition(">")
     white = '<rect width="100%" height="100%" fill="#ffffff"/>'
     return f"{begin}{end}{white}{rest}"
@@ -207,24 +212,66 @@ def _topic_page(topic: str, found: Sequence[Section]) -> str:
     samples = {section.sample for section in found}
     if len(samples) == 1 and any(samples):
         text += f"{samples.pop()}\n"
+    long = [one for one in found if one.title.startswith(LONG)]
+    long += [one for one in found if one.title.endswith(BY_TASK)]
+    empty = []
     for section in found:
-        if section.title.endswith(BY_TASK):
+        if section in long:
+            continue
+        played, missing = _played(section.table)
+        if not played.rows:
+            empty.append(section)
             continue
         note = section.note if len(samples) < 2 else section.caption
-        body = "\n\n".join(filter(None, (note, section.table.markdown())))
-        text += f"\n## {section.title}\n\n{body}"
-    long = [section for section in found if section.title.endswith(BY_TASK)]
-    if long:
-        listed = ", ".join(
-            f"[{section.title.removesuffix(BY_TASK)}]({section.name}.csv)"
-            for section in long
-        )
-        text += f"\n## Causes by task\n\nAs CSV: {listed}.\n"
+        body = [_wrapped(note), played.markdown()]
+        if section.title == HOW and missing:
+            body.insert(
+                1, _wrapped(f"Rows that are {NOT_RUN} yet: {', '.join(missing)}.")
+            )
+        text += f"\n## {section.title}\n\n" + "\n\n".join(filter(None, body))
+    for title, listed in (("Long tables, as CSV", long), ("Not run yet", empty)):
+        if listed:
+            text += f"\n## {title}\n\n"
+        for section in listed:
+            link = f"- [{section.title}]({section.name}.csv)"
+            note = "" if section.title.endswith(BY_TASK) else section.note
+            text += _wrapped(f"{link}: {note}" if note else link, "  ") + "\n"
     return text
 
 
+def _wrapped(text: str, indent: str = "") -> str:
+    # Code stays in one line.
+    held = re.sub("`[^`]+`", lambda match: match[0].replace(" ", "\0"), text)
+    lines = fill(
+        held,
+        88,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return lines.replace("\0", " ")
+
+
+def _played(table: Table) -> tuple[Table, list[str]]:
+    """Return a table without rows that were not run, and their second cells.
+
+    Figures of the paper stay, under the name of the row that they belong to.
+    """
+    rows, missing, skipped = [], [], ""
+    for row in table.rows:
+        if NOT_RUN in row:
+            skipped = row[0]
+            missing.append(row[1].replace("lemma reproduce ", ""))
+        elif row[0] == "*paper*" and skipped:
+            rows.append((f"{skipped}, *paper*", *row[1:]))
+        else:
+            skipped = ""
+            rows.append(row)
+    return replace(table, rows=tuple(rows)), missing
+
+
 def _headliners(every: Sequence[PolicyResults]) -> list[PolicyResults]:
-    """Return those that are compared first: rows of the paper, and ours."""
+    """Return the policies of the main tables: rows of the paper, and ours."""
     return [
         entry for entry in every if entry.results and entry.suite in ("", *SUITES[:2])
     ]
@@ -261,7 +308,7 @@ def _causes(played: Sequence[PolicyResults]) -> Table:
 
 
 def headline(results: Path = RESULTS) -> str:
-    """Return what the README says of results: rows of the paper, and ours."""
+    """Return the README's text about results: rows of the paper, and ours."""
     played = _headliners(entries(results))
     if not played:
         return NOTHING
@@ -271,7 +318,7 @@ def headline(results: Path = RESULTS) -> str:
 
 
 def readme(results: Path = RESULTS) -> str:
-    """Return the README with its table made anew."""
+    """Return the README with the present table."""
     before, found, rest = README.read_text(encoding="utf-8").partition(BEGIN)
     _, ended, after = rest.partition(END)
     if not (found and ended):
@@ -280,7 +327,7 @@ def readme(results: Path = RESULTS) -> str:
 
 
 def main() -> None:
-    """Write everything; tables that are no more are removed."""
+    """Write all files, and remove outdated tables."""
     FOLDER.mkdir(exist_ok=True)
     written = pages()
     for old in {*FOLDER.glob("*.csv"), *FOLDER.glob("*.md")} - set(written):

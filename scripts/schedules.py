@@ -1,9 +1,9 @@
-"""Write the table of schedules anew: the test lists of teams, pass2 and stack2.
+"""Write the table of schedules for the test lists of teams, pass2 and stack2.
 
     python scripts/schedules.py 2
 
-The word is the number of processes. It needs the extra ``schedule``. The same versions
-write the same bytes.
+The argument is the number of processes. It needs the extra ``schedule``. The same
+versions write the same bytes.
 """
 
 import gzip
@@ -31,11 +31,11 @@ _CHUNK = 10
 
 
 def schedule_one(instance: Instance) -> tuple[str, float]:
-    """Return the order of the schedule of least makespan, and the executed oracle [s].
+    """Return the order of the schedule of least makespan, and the oracle's time [s].
 
     Raises:
-        SamplingError: None is known to be of least makespan, another robot does better
-            than the planner's, or neither execution succeeds.
+        SamplingError: No schedule is proven optimal, it has other robots than the plan,
+            its times do not follow from an order, or neither execution succeeds.
     """
     jobs = jobs_of(instance)
     found = least_makespan(jobs)
@@ -44,16 +44,16 @@ def schedule_one(instance: Instance) -> tuple[str, float]:
         raise SamplingError(f"The least makespan of {instance.key} is not known.")
     order = next((o for stage in (0, 1) if _says(found, o := found.order(stage))), None)
     if order is None:
-        raise SamplingError(f"No order of {instance.key} says its times.")
+        raise SamplingError(f"The schedule of {instance.key} follows from no order.")
     orders = {_by_robot(order): order for order in (found.steps, plan_of(jobs))}
     times = [seconds for o in orders.values() if (seconds := _executed_s(instance, o))]
     if not times:
-        raise SamplingError(f"No schedule of {instance.key} can be carried out.")
+        raise SamplingError(f"No execution of {instance.key} succeeds.")
     return "".join(map(str, order)), round(min(times), 2)
 
 
 def _says(schedule: Schedule, order: tuple[int, ...]) -> bool:
-    """Whether the times of a schedule follow from an order of its sub-tasks."""
+    """Return whether the times of a schedule follow from an order of its sub-tasks."""
     needs = [(k, m) for m, job in enumerate(schedule.jobs) for k in job.needs]
     if any(order.index(k) > order.index(m) for k, m in needs):
         return False
@@ -67,7 +67,7 @@ def plan_of(jobs: tuple[Job, ...]) -> tuple[SubTask, ...]:
 
 
 def _by_robot(order: tuple[SubTask, ...]) -> tuple[SubTask, ...]:
-    """Return the sub-tasks robot by robot: where that is equal, executions are."""
+    """Return the sub-tasks sorted by robot, which determine the execution."""
     return tuple(sorted(order, key=lambda subtask: subtask.robot))
 
 

@@ -1,4 +1,4 @@
-"""Commands that go on side by side, each with one GPU, or with none."""
+"""Concurrent commands, each with one GPU or none."""
 
 import os
 import subprocess
@@ -9,13 +9,13 @@ from pathlib import Path
 import torch
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
-"""Environment variable that names the GPUs which a process may use."""
+"""Environment variable with the GPUs of a process."""
 
 
 def visible_gpus() -> list[str]:
     """Return the names of the GPUs that this process may use.
 
-    A job of a cluster may use some of a machine: their names do not begin with 0 then.
+    In a job of a cluster they may be a subset that does not begin with 0.
     """
     count = torch.cuda.device_count()
     visible = os.environ.get(VISIBLE)
@@ -24,13 +24,12 @@ def visible_gpus() -> list[str]:
 
 
 def start(command: str, log: Path, gpu: int | None = None) -> "subprocess.Popen[bytes]":
-    """Start a command of this environment; what it says is added to a file.
+    """Start a command of this environment, and append its output to a file.
 
     Args:
-        command: Program and words.
+        command: Program and arguments.
         log: The file.
-        gpu: Number of the one GPU that it sees, among :func:`visible_gpus`; it sees
-            none without.
+        gpu: Index into :func:`visible_gpus` of its GPU; None for no GPU.
     """
     print(f"{time.strftime('%X')} {command}", flush=True)
     log.parent.mkdir(parents=True, exist_ok=True)

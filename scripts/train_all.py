@@ -3,10 +3,10 @@
     python scripts/train_all.py --print
     python scripts/train_all.py --slots 3 --episodes 20,60 --until-s 1200 --stop-s 1700
 
-Does what ``lemma reproduce all --print`` prints, in less time: several trainings share
-a GPU, since none fills it, and rows are played on the processors as soon as their
-weights are there. Finished parts are kept, so the same command goes on where it
-was stopped. It needs the rendered data, see ``--print``.
+It runs the commands of ``lemma reproduce all --print`` in less time: several trainings
+share a GPU, because none uses it fully, and rows are evaluated on the CPUs as soon as
+their weights exist. Finished parts are kept, so the same command resumes. It needs the
+rendered data, see ``--print``.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from lemma.evaluation.run.loading import learned_parts
 from side_by_side import start, visible_gpus
 
 REPORT = "report.json"
-"""Of a training that has come to its end."""
+"""File of a finished training."""
 LOOK_S = 1.0
 
 
@@ -44,14 +44,14 @@ class Job:
 
     @property
     def done(self) -> bool:
-        """Whether its weights are there."""
+        """Whether its weights exist."""
         return (Path(self.runs) / self.name / REPORT).is_file()
 
     def command(self, more: str) -> str:
         """Return the command line.
 
         Args:
-            more: Further arguments, which do not change what is learned.
+            more: Further arguments, which do not affect the result.
         """
         return f"{TRAININGS[self.name].command(self.runs, self.seed)} {more}".strip()
 
@@ -77,9 +77,10 @@ class Row:
 def plan(
     experiments: Sequence[Experiment], seeds: Sequence[int], rounds: Sequence[int]
 ) -> tuple[list[Job], list[Row]]:
-    """Return trainings, each once, and rows: a round of all before the next.
+    """Return trainings without duplicates, and rows, round by round.
 
-    Ablations, and what learns nothing, have the first seed of all, whichever are asked.
+    Ablations and policies without training have only the first of all seeds, whichever
+    seeds are selected.
     """
     jobs: dict[Job, None] = {}
     rows = []
@@ -100,11 +101,11 @@ def plan(
 
 @dataclass
 class Machine:
-    """Processes that go on at the same time."""
+    """Concurrent processes of this machine."""
 
     logs: Path
     slots: int
-    """Trainings that share a GPU."""
+    """Number of trainings per GPU."""
     gpus: int = field(default_factory=lambda: max(1, len(visible_gpus())))
     training: list[tuple[Job, int, "subprocess.Popen[bytes]"]] = field(
         default_factory=list
@@ -114,7 +115,7 @@ class Machine:
     def start(
         self, command: str, log: str, gpu: int | None
     ) -> "subprocess.Popen[bytes]":
-        """Start a command of this environment; without a GPU it sees none."""
+        """Start a command of this environment, with one GPU or none."""
         return start(command, self.logs / f"{log}.log", gpu)
 
     def free_gpu(self) -> int | None:
@@ -124,18 +125,18 @@ class Machine:
         return load.index(least) if least < self.slots else None
 
     def reap(self) -> list[Job]:
-        """Forget trainings that have ended, and return those that failed."""
+        """Remove ended trainings, and return the failed ones."""
         ended = [each for each in self.training if each[2].poll() is not None]
         self.training = [each for each in self.training if each not in ended]
         return [job for job, _, process in ended if process.returncode != 0]
 
     def stop(self) -> None:
-        """End everything; lines of episodes that were played are kept."""
+        """End all processes; lines of finished episodes are kept."""
         going = [process for _, _, process in self.training]
         if self.playing is not None and self.playing.poll() is None:
             going.append(self.playing)
         for process in going:
-            # Processes that a shell starts in the background ignore SIGINT.
+            # Not SIGINT, because background processes of a shell ignore it.
             process.terminate()
         for process in going:
             process.wait()
@@ -144,7 +145,7 @@ class Machine:
 def work(
     machine: Machine, jobs: list[Job], rows: list[Row], args: argparse.Namespace
 ) -> list[Job]:
-    """Train and play until all is done, or the time is over.
+    """Train and evaluate until all is done, or the time is over.
 
     Returns:
         Trainings that failed.
@@ -180,7 +181,7 @@ def work(
 
 
 def main() -> None:
-    """Do what the arguments say."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--suites", default=ALL, help="or names of experiments")
     parser.add_argument("--seeds", default=",".join(map(str, SEEDS)))

@@ -1,13 +1,14 @@
-r"""Train ACT or Diffusion Policy of LeRobot on pictures in the memory of a GPU.
+r"""Train LeRobot's ACT or Diffusion Policy on images in the memory of a GPU.
 
     python scripts/train_lerobot_policy.py film data/recipe /dev/shm/film
     python scripts/train_lerobot_policy.py train /dev/shm/film runs/act --policy act
 
-``film`` executes a recipe again and writes what ``lemma render --form lerobot`` would,
-frame by frame, as arrays instead of videos. ``train`` holds all of it on the device
-that computes, so nothing waits for a disk, a decoder or a copy: the network, its loss
-and its processors are LeRobot's, and so is the checkpoint. ``--train-s`` ends it after
-a time instead of a number of steps, with a learning rate that falls to 0 by then.
+``film`` executes a recipe again and writes the data of ``lemma render --form lerobot``
+frame by frame, as arrays instead of videos. ``train`` holds all of them on the device
+of the training, which saves reading, decoding and copying. The network, its loss, its
+processors and the format of the checkpoint are LeRobot's. ``--train-s`` ends the
+training after a time instead of a number of steps; the learning rate decays to 0 at
+that time.
 """
 
 import argparse
@@ -56,22 +57,22 @@ latent variable."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
-"""So that libraries have chosen their kernels, and the optimizer has its state."""
+"""Steps for libraries to choose their kernels, and for the optimizer's state."""
 
 FULL, GRIPPERS = STATES = ("full", "grippers")
-"""State of its own arms that a policy sees: with the poses of their hands, or only
-how far these are open."""
+"""State of the arms in a policy's input: with the poses of the hands, or only their
+openings."""
 NO_END = 10**9
-"""Steps that are asked for where a time ends the training: weights tell so."""
+"""Number of steps in the options of a training with a time limit; weights record it."""
 
 Learn = Callable[[Batch], torch.Tensor]
-"""Takes a step of training, and returns its loss."""
+"""Runs a training step, and returns its loss."""
 
 
 def make_policy(
     name: str, seen: Film, device: str, state: str = FULL
 ) -> tuple[Any, Any, Any]:
-    """Return a policy that knows nothing yet, and what comes before and after it."""
+    """Return an untrained policy with its pre- and post-processors."""
     inputs, outputs = seen.features()
     config = PreTrainedConfig.get_choice_class(name)(
         input_features=inputs,
@@ -82,9 +83,9 @@ def make_policy(
         **POLICIES[name],
     )
     if name == "act":
-        # LeRobot's ACT has the normalization of its ResNet frozen, as it comes with
-        # weights of ImageNet; without these it would be none at all. The one that is
-        # learned here is saved under the same names, and frozen from then on.
+        # LeRobot's ACT has frozen batch normalization in its ResNet, for weights of
+        # ImageNet. Without these it would not normalize. Here it is trained and saved
+        # under the same names; at inference it is frozen.
         act = import_module("lerobot.policies.act.modeling_act")
         vars(act)["FrozenBatchNorm2d"] = torch.nn.BatchNorm2d
     policy = get_policy_class(name)(config).to(device)
@@ -102,14 +103,14 @@ def save(
     step: int,
     share: float,
 ) -> None:
-    """Write a checkpoint as lerobot-train does, but what going on with it takes.
+    """Write a checkpoint in lerobot-train's format, without the state to resume.
 
     Args:
-        folder: Of the training.
-        made: The policy, and what comes before and after it.
+        folder: Folder of the training.
+        made: The policy with its pre- and post-processors.
         asked: Options of the training.
-        step: After how many steps this is.
-        share: Of the whole training; 1 at its end.
+        step: Number of steps so far.
+        share: Completed share of the training; 1 at its end.
     """
     here = folder / "checkpoints" / f"{step:06d}"
     for part in made:
@@ -130,11 +131,11 @@ def save(
 
 
 def make_step(policy: Any, rate: torch.Tensor) -> Learn:
-    """Return what takes a step of training.
+    """Return a function that runs a training step.
 
     Args:
-        policy: Of LeRobot; it is changed.
-        rate: Of learning, (); who calls sets it before each step.
+        policy: Policy of LeRobot, whose weights are updated.
+        rate: Learning rate, (); the caller sets it before each step.
     """
     device = rate.device.type
     gpu = device == "cuda"
@@ -143,7 +144,7 @@ def make_step(policy: Any, rate: torch.Tensor) -> Learn:
     )
 
     def learn(batch: Batch) -> torch.Tensor:
-        # ACT makes its zeros on the processor unless told where.
+        # By default ACT creates its zeros on the CPU.
         with torch.autocast(device, torch.bfloat16, enabled=gpu), torch.device(device):
             loss, _ = policy.forward(batch)
         optimizer.zero_grad(set_to_none=True)
@@ -159,7 +160,7 @@ def make_step(policy: Any, rate: torch.Tensor) -> Learn:
 def captured(learn: Learn, batch: Batch) -> Learn:
     """Return the same step as one CUDA graph, after some steps with this batch.
 
-    To launch these kernels one by one takes longer than they do.
+    Launching these kernels one by one takes longer than their execution.
     """
     held = {name: rows for name, rows in batch.items() if torch.is_tensor(rows)}
     beside = torch.cuda.Stream()
@@ -169,7 +170,7 @@ def captured(learn: Learn, batch: Batch) -> Learn:
             learn(held)
     torch.cuda.current_stream().wait_stream(beside)
     graph = torch.cuda.CUDAGraph()
-    # ACT reads its loss, to log it; a graph cannot wait for that.
+    # ACT reads its loss for logging, which a graph does not allow.
     unread = patch.object(torch.Tensor, "item", lambda value: math.nan)
     with torch.cuda.graph(graph), unread:
         loss = learn(held)
@@ -222,7 +223,7 @@ def train(asked: argparse.Namespace) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Do what the arguments say, on the command line by default."""
+    """Run the given arguments, by default those of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     verbs = parser.add_subparsers(dest="verb", required=True)
     filming = verbs.add_parser("film")

@@ -1,9 +1,9 @@
-"""Trainings of the weights that are reported: how long, how fast, and how they ended.
+"""Records of the trainings behind the results: duration, speed and end.
 
     python scripts/trainings.py runs/seed-0/* runs/seed-1/*
 
-keeps what ``lemma train`` wrote of those runs in results/trainings/, where
-``scripts/results.py`` finds it: a table, and a figure of all validation curves.
+copies the reports of ``lemma train`` of these runs to results/trainings/.
+``scripts/results.py`` makes a table and a figure of the validation curves from them.
 """
 
 import sys
@@ -21,7 +21,7 @@ from lemma.viz.plots import Figure, Mark, Series, lines
 
 FOLDER = Path(__file__).parents[1] / "results" / "trainings"
 TENTHS = 10
-"""Validations of a training, unless it was asked for others."""
+"""Default number of validations of a training."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Training:
     """Name of its weights."""
     seed: int
     samples: int
-    """Frames that were trained on."""
+    """Number of drawn frames."""
     seconds: float
     """Time of the training [s]."""
     samples_per_s: float
@@ -42,26 +42,26 @@ class Training:
     status: str
     """``finished``, or ``time is up``."""
     selection: str
-    """The score by which the best weights were chosen."""
+    """Name of the score that selects the best weights."""
     curve: tuple[float, ...]
-    """That score at each validation, from 0 to 1."""
+    """This score at each validation, from 0 to 1."""
     command: str
 
 
 def training_of(run: Path) -> Training:
-    """Return what is kept of a run.
+    """Return the record of a run.
 
     Args:
-        run: Its folder ``.../seed-SEED/NAME``, with ``report.json``.
+        run: Folder of the run, ``.../seed-SEED/NAME``, with ``report.json``.
 
     Raises:
-        DatasetError: It has no report.
+        DatasetError: The run has no report.
     """
     return training_from(read_json(run / "report.json"), run.name)
 
 
 def training_from(report: Mapping[str, object], name: str) -> Training:
-    """Return what is kept of the report of a run.
+    """Return the record from the report of a run.
 
     Args:
         report: The contents of ``report.json``.
@@ -86,7 +86,7 @@ def training_from(report: Mapping[str, object], name: str) -> Training:
 
 
 class _Report(msgspec.Struct):
-    """The part of a report that is kept."""
+    """The fields of a report that a record needs."""
 
     model: str
     samples: int
@@ -100,10 +100,10 @@ class _Report(msgspec.Struct):
 
 
 def read_trainings(folder: Path = FOLDER) -> list[Training]:
-    """Return all that are kept, by name and seed.
+    """Return all records, by name and seed.
 
     Raises:
-        DatasetError: One is damaged.
+        DatasetError: A record is damaged.
     """
     found = []
     for path in sorted(folder.glob("*.json")):
@@ -138,7 +138,7 @@ def training_table(trainings: Sequence[Training]) -> Table:
 
 
 def validation_figure(trainings: Sequence[Training]) -> Figure:
-    """Return the validation curves of those with ten validations; the first seeds."""
+    """Return the validation curves of first seeds with ten validations."""
     shown: dict[str, Training] = {}
     for one in trainings:
         if len(one.curve) == TENTHS:
@@ -161,7 +161,7 @@ def validation_figure(trainings: Sequence[Training]) -> Figure:
 
 
 def main() -> None:
-    """Keep the runs that are named."""
+    """Write the records of the runs on the command line."""
     for argument in sys.argv[1:]:
         run = Path(argument)
         one = training_of(run)

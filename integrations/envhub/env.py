@@ -14,9 +14,9 @@ def make_env(
     """Return a vector of environments for each task: ``{task: {0: vector}}``.
 
     Args:
-        n_envs: Environments in a vector.
-        use_async_envs: Whether each has a process of its own.
-        cfg: A configuration; its tasks are chosen if it is not one of LEMMA's.
+        n_envs: Number of environments in a vector.
+        use_async_envs: Whether each environment has its own process.
+        cfg: A configuration; of one that is not LEMMA's, only the tasks are used.
     """
     if not isinstance(cfg, LemmaEnvConfig):
         cfg = LemmaEnvConfig(task=getattr(cfg, "task", None))

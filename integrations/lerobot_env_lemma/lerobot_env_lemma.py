@@ -1,7 +1,7 @@
 """LEMMA Bench as an environment of lerobot: ``lerobot-eval --env.type=lemma``.
 
-Observations, states and actions are those of ``lemma render --form lerobot``, so that a
-policy that was trained on such a data set is evaluated without renaming anything.
+Observations, states and actions are those of ``lemma render --form lerobot``, so the
+evaluation of a policy that was trained on such a data set needs no renaming.
 """
 
 from dataclasses import dataclass, field
@@ -41,16 +41,16 @@ ENV_STATE = "environment_state"
 """Key of the other numbers in an observation, by lerobot's convention."""
 TEAM = robot_names(2)
 MEASURED = ("agent_pos", "tcp_pose", "base_pose")
-"""Observations that a state is computed from."""
+"""Observations from which the state is computed."""
 FIRST_SEED = 1000
-"""The first seed of lerobot-eval, which is the first instance."""
+"""The first seed of lerobot-eval, for the first instance."""
 
 
 class LeRobotNames(gym.ObservationWrapper):
-    """A flat view with the names that lerobot looks for."""
+    """A flat view with the names of lerobot."""
 
     def __init__(self, env: gym.Env) -> None:
-        """Rename the spaces as well."""
+        """Rename the spaces."""
         super().__init__(env)
         named = self.observation(env.observation_space)
         if "pixels" in named:
@@ -58,7 +58,7 @@ class LeRobotNames(gym.ObservationWrapper):
         self.observation_space = gym.spaces.Dict(named)
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return the state, and pictures by their cameras' names, or the truth."""
+        """Return the state, and images by camera, or the privileged state."""
         prefix = f"{OBS_IMAGES}."
         pixels = {
             name.removeprefix(prefix): observation[name]
@@ -72,7 +72,7 @@ class LeRobotNames(gym.ObservationWrapper):
 
 
 class MotorState(gym.ObservationWrapper):
-    """The state in the numbers that an action commands."""
+    """The state in the same numbers as an action."""
 
     def __init__(self, env: gym.Env, control: str) -> None:
         """Change the space.
@@ -95,7 +95,7 @@ class MotorState(gym.ObservationWrapper):
         )
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return the observation with that state."""
+        """Return the observation with this state."""
         parts = np.split(observation[OBS_STATE], len(MEASURED))
         measured = dict(zip(MEASURED, parts, strict=True))
         state = motor_state(self._control, measured).ravel()
@@ -103,7 +103,7 @@ class MotorState(gym.ObservationWrapper):
 
 
 class SentenceVector(gym.ObservationWrapper):
-    """The sentence as numbers, for policies that read no text."""
+    """The instruction as numbers, for policies that do not read text."""
 
     def __init__(self, env: gym.Env) -> None:
         """Add the space."""
@@ -115,7 +115,7 @@ class SentenceVector(gym.ObservationWrapper):
         )
 
     def observation(self, observation: Any) -> dict[str, Any]:
-        """Return the observation and the sentence."""
+        """Return the observation with the instruction."""
         sentence = self.env.get_wrapper_attr("task_description")
         return {**observation, ENV_STATE: sentence_vector(sentence)}
 
@@ -126,13 +126,13 @@ def make_one(
     environment_state: str = NONE,
     control: str = JOINT_POSITION,
 ) -> gym.Env:
-    """Return one environment for one episode after the other.
+    """Return an environment.
 
     Args:
         task: Name of the task.
         options: Fields of :class:`lemma.env.config.EnvConfig`.
-        environment_state: Numbers beside the pictures: the sentence; or instead of
-            pictures: the truth.
+        environment_state: Further numbers in observations: none; the instruction,
+            besides images; or privileged state, instead of images.
         control: The control mode.
     """
     env = lemma.make(
@@ -157,34 +157,34 @@ class LemmaEnvConfig(EnvConfig):
     task: str | None = "all"
     """Names of tasks, separated by commas, or all."""
     fps: int = 10
-    """Actions per simulated second: those of the training data."""
+    """Actions per simulated second, as in the training data."""
     split: str = "test"
-    """Where instances come from, one after the other: seed 1000 is the first."""
+    """Split of the instances, in order: seed 1000 is the first one."""
     instruction: str = "high_level"
-    """Kind of sentence: high_level, human, unseen or blind."""
+    """Kind of instruction: high_level, human, unseen or blind."""
     cameras: str = ",".join(close_cameras(TEAM))
-    """Names of cameras, separated by commas: also robot_0, overview."""
+    """Names of cameras, separated by commas; others are robot_0 and overview."""
     width: int = CLOSE_PX
-    """Width of camera images [px]: that of the training data."""
+    """Width of camera images [px], as in the training data."""
     height: int = CLOSE_PX
     """Height of camera images [px]."""
     environment_state: str = NONE
-    """As in the training data: none, sentence, or, instead of pictures, privileged."""
+    """As in the training data: none, sentence, or, instead of images, privileged."""
     control: str = JOINT_POSITION
     """Control mode, as in the training data: joint_position or ee_waypoint_rot6d."""
     render_width: int = 320
-    """Width of the pictures of videos [px]; drawn at every step."""
+    """Width of the images of videos [px], which are rendered at every step."""
     render_height: int = 180
-    """Height of the pictures of videos [px]."""
+    """Height of the images of videos [px]."""
     horizon_s: float = HORIZON_S
     """Simulated time after which an episode ends [s]."""
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    """Filled in from the fields above."""
+    """Features by name, computed from the fields above."""
     features_map: dict[str, str] = field(default_factory=dict)
-    """Filled in as well."""
+    """LeRobot's names of the features, computed as well."""
 
     def __post_init__(self) -> None:
-        """Fill in the features."""
+        """Compute the features."""
         known("environment state", self.environment_state, ENVIRONMENT_STATES)
         known("control mode of data sets", self.control, MOTOR_CONTROLS)
         row = (len(motor_names(self.control, TEAM)),)
@@ -227,7 +227,7 @@ class LemmaEnvConfig(EnvConfig):
     ) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return a vector of environments for each task: ``{task: {0: vector}}``.
 
-        An environment whose episode has ended stands still until the next rollout.
+        An environment whose episode has ended does not step until the next rollout.
         """
         found = {}
         for task in SUITE if self.task in (None, "all") else _listed(self.task):
@@ -235,7 +235,7 @@ class LemmaEnvConfig(EnvConfig):
             maker = partial(make_one, task, self.gym_kwargs, *style)
             makers = [maker] * n_envs
             if use_async_envs and n_envs > 1:
-                # Its processes start when the first episode of the task begins.
+                # Its processes start with the first episode of the task.
                 found[task] = {0: _LazyAsyncVectorEnv(makers)}
             else:
                 frozen = [freeze_after_episode_end(maker) for maker in makers]

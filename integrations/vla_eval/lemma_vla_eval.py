@@ -24,11 +24,11 @@ _IMAGES = "observation.images."
 
 
 class LemmaBenchmark(StepBenchmark):
-    """Tasks of LEMMA with strict success, an episode for each instance of a split.
+    """Tasks of LEMMA with strict success, one episode for each instance of a split.
 
     Episode ``n`` of a task is instance ``n`` of its frozen list. It ends when the goal
-    has held for half a second, or at T_max; one that the harness cuts before has
-    failed.
+    has held for half a second, or at T_max; if the harness ends it before, it is a
+    failure.
     """
 
     render_backends = frozenset({"gpu", "cpu"})
@@ -36,7 +36,7 @@ class LemmaBenchmark(StepBenchmark):
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
-        """Have Mesa use the processor; EGL or OSMesa is chosen by what works."""
+        """Set Mesa to the CPU; the renderer chooses EGL or OSMesa by itself."""
         found = {"LIBGL_ALWAYS_SOFTWARE": "1"} if mode == "cpu" else {}
         os.environ.update(found)
         return found
@@ -54,7 +54,7 @@ class LemmaBenchmark(StepBenchmark):
         send_state: bool = True,
         **options: Any,
     ) -> None:
-        """Define what is played; nothing is simulated before the first episode.
+        """Store the options; the simulation starts with the first episode.
 
         Args:
             tasks: Names of tasks.
@@ -62,11 +62,11 @@ class LemmaBenchmark(StepBenchmark):
             control: Meaning of an action, see ``lemma.env.control.modes.CONTROLS``.
             control_hz: Actions per simulated second [Hz].
             cameras: Names of the cameras; the usual ones of the control level if None.
-            width: Of images [px].
-            height: Of images [px].
+            width: Width of images [px].
+            height: Height of images [px].
             state: Parts of the state, see
                 ``lemma.env.learning.flat_view.STATES``.
-            send_state: Whether the state is sent.
+            send_state: Whether to send the state.
             options: Other options of :class:`lemma.env.config.EnvConfig`, such as
                 ``instruction`` and ``horizon_s``.
 
@@ -104,7 +104,7 @@ class LemmaBenchmark(StepBenchmark):
         ]
 
     def reset(self, task: Task) -> dict[str, np.ndarray]:
-        """Set the table for an episode."""
+        """Begin an episode."""
         if task["task_id"] != self._playing:
             self._env.close()
             self._env = self._make(task["task_id"])
@@ -116,7 +116,7 @@ class LemmaBenchmark(StepBenchmark):
         """Command the motors for one control step.
 
         Raises:
-            PolicyFailedError: It is no such row of numbers; the episode has failed.
+            PolicyFailedError: The action is invalid; the episode has failed.
         """
         row = read_action(action, self._env.action_names)
         seen, reward, terminated, truncated, info = self._env.step(row)
@@ -136,7 +136,7 @@ class LemmaBenchmark(StepBenchmark):
         self._recorder.record_video(next(images))
 
     def make_obs(self, raw_obs: dict[str, np.ndarray], task: Task) -> Observation:
-        """Return images, sentence and state."""
+        """Return images, instruction and state."""
         images = {
             name.removeprefix(_IMAGES): image
             for name, image in raw_obs.items()
@@ -147,7 +147,7 @@ class LemmaBenchmark(StepBenchmark):
         return observation(images, self._inner.task_description, state, robots)
 
     def get_step_result(self, step_result: StepResult) -> EpisodeResult:
-        """Return what became of the episode."""
+        """Return the outcome of the episode."""
         info = step_result.info
         return {
             "success": bool(step_result.done and info["is_success"]),
@@ -158,11 +158,11 @@ class LemmaBenchmark(StepBenchmark):
         }
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Return which figures are aggregated, and how."""
+        """Return the aggregated metrics, with their aggregation."""
         return dict.fromkeys(("success", "progress", "elapsed_s", "idle_s"), "mean")
 
     def get_metadata(self) -> dict[str, Any]:
-        """Return how long an episode is and how long an action."""
+        """Return the durations of an episode and of an action."""
         return {
             "max_steps": self._inner._max_episode_steps,
             "max_episodes_per_task": SPLITS.get(self._split),
@@ -173,7 +173,7 @@ class LemmaBenchmark(StepBenchmark):
         }
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return what an action is: one row, in the units of the control mode."""
+        """Return the specification of an action: a row in the control mode's units."""
         names, own = self._env.action_names, format_of(self._control)
         return {
             "actions": DimSpec(
@@ -186,11 +186,11 @@ class LemmaBenchmark(StepBenchmark):
         }
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
-        """Return what is sent."""
+        """Return the specification of observations."""
         seen = self._env.observation_space
         assert isinstance(seen, gymnasium.spaces.Dict)
         cameras = [n.removeprefix(_IMAGES) for n in seen if n.startswith(_IMAGES)]
-        # Servers that take any camera ask for "image".
+        # Servers that accept any camera request "image".
         spec = dict.fromkeys(("image", *cameras), IMAGE_RGB)
         spec["language"] = LANGUAGE
         if self._send_state:
@@ -205,5 +205,5 @@ class LemmaBenchmark(StepBenchmark):
         return self._env.unwrapped
 
     def cleanup(self) -> None:
-        """Free what rendering uses."""
+        """Free the resources of the rendering."""
         self._env.close()

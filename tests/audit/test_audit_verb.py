@@ -29,7 +29,7 @@ def test_says_where_nothing_is_attacked(capsys: pytest.CaptureFixture[str]) -> N
     out, told = capsys.readouterr()
     for of_tasks in json.loads(out)["attacks"].values():
         assert list(of_tasks) == ["place"]
-    assert "lift: one robot shall do it alone, so none attacks" in told
+    assert "lift: not attacked, since one robot may do it alone" in told
 
 
 def test_prints_one_json_object(capsys: pytest.CaptureFixture[str]) -> None:

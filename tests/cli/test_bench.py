@@ -109,9 +109,9 @@ def test_many_tables_need_an_extra_and_their_number_needs_them(
     assert run("bench", "--gpu") == 2
     assert "--gpu needs warp: pip install 'lemma-bench[warp]'" in one_line(capsys)
     assert run("bench", "--worlds", "8") == 2
-    assert "--worlds goes with --gpu" in one_line(capsys)
+    assert "--worlds needs --gpu" in one_line(capsys)
     assert run("bench", "--gpu", "--worlds", "0") == 2
-    assert "from 1 up, not 0" in one_line(capsys)
+    assert "at least 1, not 0" in one_line(capsys)
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:

@@ -191,7 +191,10 @@ def test_own_sentence_is_read_judged_and_done(
     ("words", "says"),
     [
         (("stack", "--say", "Fetch me a coffee"), "none of them"),
-        (("--say", "Place the red cube on top of the blue cube"), "name one task"),
+        (
+            ("--say", "Place the red cube on top of the blue cube"),
+            "needs exactly one task",
+        ),
     ],
 )
 def test_sentence_that_is_not_understood_is_refused(

@@ -89,13 +89,13 @@ def interrupt(process: subprocess.Popen[str], to: str) -> str:
 @pytest.mark.parametrize(
     ("words", "to", "kept"),
     [
-        (EVALUATE, "group", "of 120 episodes are kept"),
-        (EVALUATE, "parent", "of 120 episodes are kept"),
-        (GENERATE, "group", "episodes are written"),
-        (RENDER, "parent", "of 12 episodes are made"),
-        (REPLAY, "group", "nothing was changed"),
-        (REPRODUCE, "parent", "of this experiment are kept"),
-        (BENCH, "group", "nothing is kept"),
+        (EVALUATE, "group", "of 120 episodes are saved"),
+        (EVALUATE, "parent", "of 120 episodes are saved"),
+        (GENERATE, "group", "episodes are saved"),
+        (RENDER, "parent", "of 12 episodes are saved"),
+        (REPLAY, "group", "no file was changed"),
+        (REPRODUCE, "parent", "of this experiment are saved"),
+        (BENCH, "group", "nothing is saved"),
         (DEMO, "group", "the page is not written"),
     ],
 )
@@ -119,7 +119,7 @@ def test_episodes_of_an_interrupted_evaluation_are_kept(tmp_path: Path) -> None:
     said = interrupt(process, "group")
     lines = (tmp_path / "out" / "episodes.jsonl").read_text().splitlines()
     assert 10 <= len(lines) < 60
-    assert f"Interrupted: {len(lines)} of 60 episodes are kept" in said
+    assert f"Interrupted: {len(lines)} of 60 episodes are saved" in said
 
 
 def test_serving_ends(tmp_path: Path) -> None:

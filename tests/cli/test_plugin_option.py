@@ -92,7 +92,7 @@ def test_what_to_generate_is_checked() -> None:
     with loaded(PILE):
         with pytest.raises(InvalidConfigError, match="no frozen list 'train'"):
             GenerateConfig(out=Path(), tasks=("stack", "pile"), splits=("train",))
-        with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
+        with pytest.raises(InvalidConfigError, match=r"without limit.*--episodes"):
             GenerateConfig(out=Path(), tasks=("pile",), splits=("free",))
         order = GenerateConfig(
             out=Path(), tasks=("pile", "stack"), splits=("free",), episodes=900
@@ -181,7 +181,7 @@ def test_what_to_evaluate_is_checked() -> None:
     with loaded(PILE):
         with pytest.raises(InvalidConfigError, match="no frozen list 'test'"):
             EvaluationConfig(out=Path(), policy=policy, tasks=("pile",))
-        with pytest.raises(InvalidConfigError, match=r"has no end.*--episodes"):
+        with pytest.raises(InvalidConfigError, match=r"without a limit.*--episodes"):
             EvaluationConfig(out=Path(), policy=policy, split="free")
     with pytest.raises(UnknownNameError, match="Unknown task 'pile'"):
         EvaluationConfig(out=Path(), policy=policy, tasks=("pile",))

@@ -57,7 +57,7 @@ def test_every_form_works_where_it_is_told_and_can_be_interrupted(
     )
     assert given[-1] is engine
     told = capsys.readouterr().err
-    assert "Interrupted: 3 of 4 episodes are made" in " ".join(told.split())
+    assert "Interrupted: 3 of 4 episodes are saved" in " ".join(told.split())
 
 
 def test_a_data_set_is_filmed_as_the_options_say(

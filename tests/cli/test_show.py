@@ -123,7 +123,7 @@ def test_evaluation_plays_it_alone_and_keeps_it(own: Path, tmp_path: Path) -> No
         (("show", "--index", "2"), "without --split"),
         (
             ("evaluate", "--policy", "oracle", "--out", "x", "--episodes", "2"),
-            "alone|all",
+            "the only episode",
         ),
         (("play", "--index", "1", "--no-open"), "without --split"),
     ],

@@ -86,8 +86,8 @@ def change_engine(folder: Path) -> None:
 DAMAGES: dict[Callable[[Path], None], str] = {
     truncate: "stack.parquet is damaged: Parquet magic bytes not found",
     empty: "stack.parquet is damaged: Parquet file size is 0 bytes",
-    flip: "stack.parquet has another checksum than manifest.json says",
-    change_sum: "stack.parquet has another checksum than manifest.json says",
+    flip: "stack.parquet has another checksum than in manifest.json",
+    change_sum: "stack.parquet has another checksum than in manifest.json",
     break_manifest: "manifest.json cannot be read",
     empty_manifest: "manifest.json is damaged",
     change_engine: "3.16.0",
@@ -209,7 +209,7 @@ def test_what_was_rendered_is_no_place_for_a_recipe(
     assert lemma(*words, "--tasks", "pass", "--workers", 1) == 0
     before = bytes_of(tmp_path)
     assert lemma(*GENERATE, "--out", tmp_path) == 2
-    assert "holds 'keyframes'" in capsys.readouterr().err
+    assert "contains 'keyframes'" in capsys.readouterr().err
     assert bytes_of(tmp_path) == before
 
 
@@ -219,7 +219,7 @@ def test_the_readme_of_somebody_else_is_not_written_over(
 ) -> None:
     (tmp_path / "README.md").write_text("mine")
     assert lemma(*words_of(verb), "--out", tmp_path) == 2
-    assert "holds something else" in capsys.readouterr().err
+    assert "but no dataset" in capsys.readouterr().err
     assert bytes_of(tmp_path).keys() <= {".lock", "README.md"}
 
 

@@ -154,12 +154,12 @@ def test_a_file_says_what_wrote_it(tmp_path: Path) -> None:
 
 def test_the_parquet_of_somebody_else_is_refused(tmp_path: Path) -> None:
     pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
-    with pytest.raises(DatasetError, match="no recipe of this benchmark"):
+    with pytest.raises(DatasetError, match="not a recipe of this benchmark"):
         open_table(tmp_path / "a.parquet")
     # Ours by its metadata alone.
     table = pa.table({"a": [1]}).replace_schema_metadata({METADATA_KEY: b"{}"})
     pq.write_table(table, tmp_path / "b.parquet")
-    with pytest.raises(DatasetError, match="no recipe of this benchmark"):
+    with pytest.raises(DatasetError, match="not a recipe of this benchmark"):
         open_table(tmp_path / "b.parquet")
 
 

@@ -140,7 +140,7 @@ def test_damage_that_stays_is_named_and_does_not_last(
     hub.damaged["val/stack.parquet"] = 100
     back = tmp_path / "back"
     text = complaint(capsys, "pull", NAME, back)
-    assert "val/stack.parquet arrived damaged" in text
+    assert "val/stack.parquet was damaged" in text
     assert "Run the same command again" in text
     hub.damaged.clear()
     pull(NAME, back)
@@ -166,9 +166,9 @@ PUSH, PULL = ("push-to-hub", "HERE", NAME), ("pull", NAME, "BACK")
 @pytest.mark.parametrize(
     ("words", "hub_is", "told"),
     [
-        (PUSH, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
-        (PULL, {"token": "hf_of_somebody_else"}, "let you use me/data (401).* auth"),
-        (PUSH, {"status": 403}, "your token may not do that"),
+        (PUSH, {"token": "hf_of_somebody_else"}, "denies access to me/data.* auth"),
+        (PULL, {"token": "hf_of_somebody_else"}, "denies access to me/data.* auth"),
+        (PUSH, {"status": 403}, "your token lacks the permission"),
         (PUSH, {"status": 500}, "answered 500 about me/data.*Try again later"),
         (PULL, {"status": 500}, "answered 500 about me/data.*Try again later"),
         ((*PULL, "--split", "train"), {}, "me/data has no files of split 'train'"),
@@ -202,7 +202,7 @@ def test_a_repository_or_revision_that_does_not_exist(
     hub: FakeHub, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = complaint(capsys, "pull", NAME, tmp_path / "back", "--revision", "v9")
-    assert f"no dataset {NAME}, or not that revision" in text
+    assert f"no dataset {NAME}, or not this revision" in text
     assert not (tmp_path / "back").exists()
 
 
@@ -239,7 +239,7 @@ def test_a_file_that_the_hub_lost_is_named(
 ) -> None:
     del hub.files["val/stack.parquet"]
     text = complaint(capsys, "pull", NAME, tmp_path / "back")
-    assert text.startswith(f"What {NAME} holds is not whole.")
+    assert text.startswith(f"The dataset in {NAME} is not complete.")
     assert "stack.parquet is missing" in text
 
 

@@ -174,7 +174,7 @@ def test_waypoints_of_hands_are_where_they_were_led(
 def test_a_table_alone_is_no_episode(done: Teleoperation, tmp_path: Path) -> None:
     path = tmp_path / "table.json"
     path.write_text(json.dumps(done.instance.to_dict()))
-    with pytest.raises(InvalidConfigError, match="not what was done"):
+    with pytest.raises(InvalidConfigError, match="no valid steps"):
         check_source(path, [path], Style())
 
 
@@ -187,11 +187,11 @@ def test_a_table_alone_is_no_episode(done: Teleoperation, tmp_path: Path) -> Non
         ("commanded", "rows", [[[0.0, 0.0]]], "shape"),
         ("commanded", "rows", [[[math.nan] * 8] * 2], "NaN|finite|number"),
         ("executed", "robot", "robot_7", "robot"),
-        ("executed", "primitive", "juggle", "not what was done"),
-        ("executed", "pick_pose", [0.0, 0.0], "not what was done"),
+        ("executed", "primitive", "juggle", "no valid steps"),
+        ("executed", "pick_pose", [0.0, 0.0], "no valid steps"),
         ("executed", "pick_pose", [math.nan, 0.0, 0.0], "state"),
         ("", "end_s", math.nan, "nan s"),
-        ("", "end_s", 1e9, "Episodes end"),
+        ("", "end_s", 1e9, "episodes end"),
         ("", "nudged", [{"time_s": 1.0, "name": "moon", "pose": [0, 0, 0]}], "moon"),
     ],
 )

@@ -9,6 +9,7 @@ from gymnasium import spaces
 import lemma
 from lemma.core.poses import matrix_from_quaternion
 from lemma.env.observation import (
+    LOADS,
     OBSERVATIONS,
     TRUTH,
     read_text,
@@ -115,7 +116,7 @@ def test_images_are_only_where_asked_for() -> None:
     joints = {"agent_pos", "agent_vel", "tcp_pose", "base_pose", "instruction"}
     assert keys == {
         "state": joints,
-        "privileged": joints | {*TRUTH},
+        "privileged": joints | {*TRUTH, *LOADS},
         "goal_state": joints | {"goal_state"},
     }
 

@@ -144,7 +144,7 @@ def test_printed_it_is_a_table_and_says_what_went_wrong() -> None:
         (Silent(), {"kinds": ()}, InvalidConfigError, "kind of instruction"),
         (Silent, {}, InvalidConfigError, r"Silent\(\.\.\.\)"),
         ("oracle+oracle", {"level": "plan"}, InvalidConfigError, "has a grounder"),
-        ("greedy-reach", {"level": "skill"}, InvalidConfigError, "in symbols"),
+        ("greedy-reach", {"level": "skill"}, InvalidConfigError, "no poses"),
     ],
 )
 def test_what_cannot_be_is_explained(

@@ -113,7 +113,7 @@ def test_what_has_eyes_as_well_is_refused() -> None:
     assert told["observation"] == "privileged"
     assert "cameras" not in told
     config.input_features = options[True]
-    with pytest.raises(InvalidConfigError, match="instead"):
+    with pytest.raises(InvalidConfigError, match="not privileged"):
         module.control_options(config, 10.0, privileged=True)
 
 

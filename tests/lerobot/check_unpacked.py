@@ -75,9 +75,9 @@ def test_what_is_not_unpacked_is_refused(
     module = import_module("lerobot.datasets.lerobot_dataset")
     kind = unpacked(module.DatasetReader, pictures)
     monkeypatch.setattr(module, "DatasetReader", kind)
-    with pytest.raises(DatasetError, match="Only whole data sets"):
+    with pytest.raises(DatasetError, match="supports only whole data sets"):
         read(export(), episodes=[0], return_uint8=True)
-    with pytest.raises(DatasetError, match="lerobot-train alone"):
+    with pytest.raises(DatasetError, match="Only lerobot-train"):
         read(export())
 
 

@@ -156,7 +156,7 @@ def test_other_kinds_of_weights_are_told_apart(tmp_path: Path, published: Path) 
         load_model("moves")
     other = tmp_path / "weights.safetensors"
     write_weights(other, {"a": torch.zeros(2)}, WeightsMetadata("reachnet", {}))
-    with pytest.raises(WeightsError, match="leave out 'lerobot:'"):
+    with pytest.raises(WeightsError, match="Leave out 'lerobot:'"):
         unpack_checkpoint(other, tmp_path)
 
 
@@ -192,5 +192,5 @@ def test_a_folder_that_was_moved_says_no_steps(
     tmp_path: Path, checkpoint: Path
 ) -> None:
     moved = checkpoint.rename(tmp_path / "mine")
-    with pytest.raises(WeightsError, match="how many steps"):
+    with pytest.raises(WeightsError, match="lacks the number of steps"):
         pack_checkpoint(moved, tmp_path / "a", COMMAND, Fineness(COARSE))

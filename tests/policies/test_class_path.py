@@ -13,7 +13,7 @@ def test_a_policy_of_lerobot_is_one_at_control_level() -> None:
     spec = PolicySpec("lerobot:out/act", arguments=(("device", "cuda"),))
     assert spec.controls
     assert not spec.oracle
-    with pytest.raises(InvalidConfigError, match="Motor commands are no sub-tasks"):
+    with pytest.raises(InvalidConfigError, match="Motor commands allow neither"):
         PolicySpec("lerobot:out/act", gta=True)
 
 

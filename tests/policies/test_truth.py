@@ -113,7 +113,7 @@ HIDINGS: dict[str, Callable[[Any], object]] = {
 
 
 def parts_of(one: PolicyInput) -> tuple[Any, ...]:
-    return one.instruction, one.robots, one.view, one.past
+    return one.instruction, one.robots, one.view, one.past, one.hands
 
 
 @pytest.mark.parametrize("hiding", HIDINGS)

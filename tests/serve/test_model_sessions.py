@@ -144,7 +144,7 @@ def test_hostile_frames_are_answered(session: ModelSession) -> None:
 def test_what_the_protocol_does_not_hold_is_refused() -> None:
     policy: Any = Counts(np.zeros(14))
     policy.control_options = {"observation": "rgbd"}
-    with pytest.raises(InvalidConfigError, match="hold images and joints"):
+    with pytest.raises(InvalidConfigError, match="have only images and joints"):
         PolicyServer(policy, port=0, protocol="vla-eval")
     with pytest.raises(UnknownNameError, match="protocol"):
         PolicyServer(policy, port=0, protocol="carrier pigeon")

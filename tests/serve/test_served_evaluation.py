@@ -178,4 +178,4 @@ def test_faults_are_named_on_the_screen(
     assert verb("faulty_policies:AnswersNothing", tmp_path, ask, Here()) == 0
     told = capsys.readouterr().err
     assert "stack 0: malformed: The policy's answer cannot be used" in told
-    assert "2 of 2 episodes failed because the policy did" in told
+    assert "2 of 2 episodes failed because of an error" in told

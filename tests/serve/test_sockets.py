@@ -371,7 +371,7 @@ def test_probes_get_a_proper_answer_and_leave_no_traceback(
 def test_a_taken_port_is_explained(served: PolicyServer) -> None:
     with pytest.raises(InvalidConfigError, match="another port"):
         PolicyServer(Scripted(), port=served.port)
-    with pytest.raises(ProtocolError, match="no policy"):
+    with pytest.raises(ProtocolError, match="not a policy"):
         PolicyServer(object(), port=0)
 
 

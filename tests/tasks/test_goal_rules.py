@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from lemma.core.errors import InvalidConfigError, UnknownNameError
@@ -16,6 +17,7 @@ from lemma.tasks.language.bank import parse, robot_phrases, rule_templates
 from lemma.tasks.language.template import KINDS, MAX_CHARACTERS
 from lemma.tasks.suite import load_instance
 from lemma.tasks.teams.rule import RULES, After, But, Rule, Without, rule_from
+from lemma.tasks.teams.rule_watch import first_bad
 
 TESTS = [load_instance("exchange", "test", index) for index in range(60)]
 PAIRS = (("red_cube", "red_pad"), ("blue_cube", "blue_pad"))
@@ -124,3 +126,18 @@ def test_nothing_but_the_sentence_tells_who_must_not_act() -> None:
         assert one.goal.rule.robot in alike
         first += alike.index(one.goal.rule.robot)
     assert 0.2 < first / len(found) < 0.8
+
+
+def test_the_first_forbidden_contact_is_found_as_by_numpy() -> None:
+    draws = np.random.default_rng(3)
+    found = []
+    for _ in range(200):
+        contacts = draws.integers(12, size=(draws.integers(6), 2), dtype=np.int32)
+        who = draws.integers(5, size=12)
+        bad = draws.random((5, 5)) < 0.1
+        bad |= bad.T
+        named = who[contacts]
+        expected = np.flatnonzero(bad[named[:, 0], named[:, 1]])
+        found.append(first_bad(contacts, who, bad))
+        assert found[-1] == (expected[0] if len(expected) else -1)
+    assert {-1, 0, 1} <= {*found}

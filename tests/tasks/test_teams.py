@@ -136,7 +136,7 @@ def may_act(instance: Instance) -> list[str]:
 
 @pytest.mark.parametrize("task", FAMILIES)
 def test_nobody_can_be_done_without(task: str) -> None:
-    """An absent robot alone could touch a thing, or joins two that share nothing."""
+    """It alone could touch or carry a thing, or it joins two that share nothing."""
     for index in range(60):
         instance = load_instance(task, "test", index)
         scene, goal = instance.scene, instance.goal
@@ -145,7 +145,11 @@ def test_nobody_can_be_done_without(task: str) -> None:
             name: [i for i in team if could(scene.robots[i], scene.placement(name))]
             for name in goal.entities
         }
-        owners = {able[0] for able in who.values() if len(able) == 1}
+        carry = [
+            [i for i in team if not scene.robots[i].overload("", scene.placement(top))]
+            for top, _ in goal.pairs
+        ]
+        owners = {able[0] for able in (*who.values(), *carry) if len(able) == 1}
         for absent in set(team) - owners:
             ends = [scene.robots[i] for i in team if i != absent]
             assert len(ends) == 2

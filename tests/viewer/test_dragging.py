@@ -107,5 +107,5 @@ def test_impossible_moves_are_undone(
 
 def test_robots_stay_while_an_episode_goes_on(session: Session) -> None:
     begin(session)
-    with pytest.raises(InvalidConfigError, match="before an episode"):
+    with pytest.raises(InvalidConfigError, match="or after an episode"):
         session.move("robot_0", FREE)

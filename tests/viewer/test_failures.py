@@ -130,7 +130,7 @@ def test_there_must_be_a_failure(cases: list[Case]) -> None:
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (("--failures",), "Name their folder"),
+        (("--failures",), "needs a folder of results"),
         (("nowhere", "--failures"), "There is no nowhere"),
         (("nowhere", "--failures", "--index", "1"), "no instance"),
     ],

@@ -179,7 +179,7 @@ def test_policy_behind_an_address_is_offered(page: Page) -> None:
     for bad in ("os:system", "", "http://", "file:///etc/passwd"):
         page.panel.address.value = bad
         page.panel.offer()
-        assert "no address" in page.panel.status.content
+        assert "not the address" in page.panel.status.content
     page.panel.address.value = " http://127.0.0.1:1 "
     page.panel.offer()
     assert page.panel.policy.value == "http://127.0.0.1:1"
@@ -240,7 +240,7 @@ def test_visitor_takes_over_and_hands_back(page: Page) -> None:
     pilot = page.panel.teleoperation
     pilot.take_over()
     page.tick(0.0)
-    assert "while an episode goes on" in page.panel.status.content
+    assert "while an episode runs" in page.panel.status.content
     page.panel.act()
     until_true(page, lambda: pilot.take.visible)
     assert not pilot.grips.visible

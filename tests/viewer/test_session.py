@@ -132,7 +132,7 @@ def test_denials_are_not_understood(said: str) -> None:
     play = played(own(said, "reader"), reader=reader)
     assert play.status.phase is Phase.FAILED
     assert reading_of(play).pairs is None
-    assert "shall not be" in reading_of(play).note
+    assert "negation" in reading_of(play).note
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_expert_says_when_it_knows_no_way() -> None:
     simulation.scene.set_pose(pairs[0][0], Pose((0.0, 3.0, -0.5), (1.0, 0.0, 0.0, 0.0)))
     for needed in (True, False):
         found = check_plan(Reading(pairs), simulation.scene, needed=needed)
-        assert "no way" in found.note
+        assert "no plan" in found.note
         assert found.acts is not needed
 
 

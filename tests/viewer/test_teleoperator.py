@@ -187,13 +187,13 @@ def test_commands_alone_are_no_whole_episode(taken: Path) -> None:
 
 def test_only_a_running_episode_is_taken_over_in_a_pause_too() -> None:
     found = session_of(still=StandsStill())
-    with pytest.raises(InvalidConfigError, match="while an episode goes on"):
+    with pytest.raises(InvalidConfigError, match="while an episode runs"):
         found.play.take_over()
     with pytest.raises(InvalidConfigError, match="by hand"):
         found.play.kept()
     found.ask(replace(STACK, policy="still"), acts=True)
     until(lambda: found.play.transport.cursor_s > 0.1, found.play)
-    with pytest.raises(InvalidConfigError, match="commands motors"):
+    with pytest.raises(InvalidConfigError, match="motor commands"):
         found.play.take_over()
     with pytest.raises(InvalidConfigError, match="are not kept"):
         found.play.kept()

@@ -1,1 +1,1 @@
-"""Adversaries: attempts to do with one robot what shall take two."""
+"""Audit: attacks in which one robot alone tries to do tasks that need several."""

@@ -2,8 +2,8 @@
 
 An attack is a function that plays one attempt at an instance with one robot, while the
 others stay parked. It acts through a :class:`~lemma.audit.skill_trial.SkillTrial` or a
-:class:`~lemma.audit.control_trial.ControlTrial`, which allows what a user of that level
-may do, and nothing else. It may look at everything.
+:class:`~lemma.audit.control_trial.ControlTrial`, which offer only the actions that a
+policy of that level has. It may read the whole state.
 """
 
 import inspect
@@ -22,7 +22,7 @@ TRIALS: dict[str, type[SkillTrial] | type[ControlTrial]] = {
     "skill": SkillTrial,
     "control": ControlTrial,
 }
-"""The means of each level: grounded sub-tasks, or commands to the motors."""
+"""The trial class of each level: grounded sub-tasks, or motor commands."""
 
 Play = Callable[[SkillTrial], None] | Callable[[ControlTrial], None]
 """Plays one attempt; ``trial.attempt`` is its number, from 0."""
@@ -30,34 +30,34 @@ Play = Callable[[SkillTrial], None] | Callable[[ControlTrial], None]
 
 @dataclass(frozen=True)
 class Attack:
-    """One way to try to do without a partner."""
+    """One method to reach a goal without the other robots."""
 
     play: Play
-    """Plays one attempt. The attack is called like the function, and the first
-    paragraph of its docstring is its summary."""
+    """Plays one attempt. The function's name is the name of the attack, and the first
+    paragraph of its docstring is the summary."""
     level: str
     """``"skill"`` or ``"control"``."""
     attempts: int = 1
-    """How many are made at most, each from the start, with each robot."""
+    """Maximum number of attempts with each robot; each begins at the initial state."""
     candidates: int = 1
-    """How many ways to go on an attempt tries out at most, each from one moment."""
+    """Maximum number of variants that an attempt plays from one state."""
     simulated_s: float = HORIZON_S
-    """Simulated time after which an attempt ends [s]; what is undone counts as well. An
-    episode is not longer than the default."""
+    """Simulated time after which an attempt ends [s], including time that was undone.
+    The default is the time limit of an episode."""
     cheap: bool = False
-    """Whether it mostly ends by geometry alone, within milliseconds: such attacks are
-    run on every instance that is sampled for a list."""
+    """Whether geometry alone mostly rules it out, within milliseconds. The sampling of
+    lists runs these attacks on every instance."""
     team: bool = False
-    """Whether it acts with the whole team, to test something else than whether one
-    robot is enough; ``trial.robot`` is the first then."""
+    """Whether it acts with the whole team; it then tests something other than whether
+    one robot is enough. ``trial.robot`` is then the first robot."""
 
     def __post_init__(self) -> None:
         """Check the fields.
 
         Raises:
             UnknownNameError: No such level.
-            InvalidConfigError: Less than one attempt or candidate, no time, or a
-                function without docstring.
+            InvalidConfigError: Less than one attempt or candidate, less than 1 s, or
+                a function without docstring.
         """
         known("level of an attack", self.level, TRIALS)
         whole("attempts", self.attempts, 1)
@@ -76,12 +76,12 @@ class Attack:
 
     @property
     def summary(self) -> str:
-        """One line for people."""
+        """The first paragraph of the docstring, on one line."""
         return " ".join((inspect.getdoc(self.play) or "").split("\n\n")[0].split())
 
     @property
     def budget(self) -> dict[str, str | float]:
-        """Its level, and the most that it takes of one robot, ready for JSON."""
+        """Its level and its limits for one robot, ready for JSON."""
         return {
             "level": self.level,
             "attempts": self.attempts,
@@ -97,7 +97,7 @@ P = TypeVar("P", bound=Play)
 
 
 def attack(level: str, **record: Any) -> Callable[[P], P]:
-    """Return a decorator that registers the attack which a function plays.
+    """Return a decorator that registers a function as an attack.
 
     Args:
         level: ``"skill"`` or ``"control"``.

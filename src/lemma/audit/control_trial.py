@@ -37,10 +37,13 @@ def leaning(spot: Pose2, z: float, lean: float = 0.0) -> FloatArray:
     """Return the pose of a hand whose fingers point down and ahead.
 
     Args:
-        spot: Position of the tool centre point. Its yaw is the direction in which the
-            fingers point, seen from above; they close across it.
+        spot: Position of the tool centre point [m]. Its yaw is the direction in which
+            the fingers point, seen from above; they close across it.
         z: Height of the tool centre point [m].
         lean: Angle from the vertical [rad]; at 0 the fingers point straight down.
+
+    Returns:
+        The pose of the tool centre point in the world, (4, 4).
     """
     c, s = math.cos(spot.yaw), math.sin(spot.yaw)
     down, ahead = math.cos(lean), math.sin(lean)
@@ -53,7 +56,7 @@ def leaning(spot: Pose2, z: float, lean: float = 0.0) -> FloatArray:
 
 
 def drawn_back(hand: FloatArray, distance_m: float) -> FloatArray:
-    """Return a hand moved back along the direction of its fingers."""
+    """Return a hand, (4, 4), moved back along the direction of its fingers."""
     pose = hand.copy()
     pose[:3, 3] -= distance_m * hand[:3, 2]
     return pose
@@ -69,15 +72,15 @@ def moved(
 
 
 def ahead(hand: FloatArray, distance_m: float, heading: float) -> FloatArray:
-    """Return a hand moved along a horizontal direction."""
+    """Return a hand, (4, 4), moved along a horizontal direction [rad]."""
     return moved(hand, distance_m * math.cos(heading), distance_m * math.sin(heading))
 
 
 STEP_S = 0.02
-"""Time between two commands; a longer one would shake off what lies on a held stick."""
-# Wait at the end of an attempt for the environment to call it a success.
+"""Time between two commands; a longer one would shake objects off a held stick."""
+# Longest wait at the end of an attempt for the environment to report success.
 _PATIENCE_S = 2.5
-# Share of the joints' velocity limits at which the hand is led.
+# Speed of the hand as a share of the joints' velocity limits.
 _SPEED = 0.6
 _CLOSE_RAD = 0.01
 _STUCK_S = 0.6
@@ -89,7 +92,7 @@ _STAND_BY_M = 0.38
 
 
 def control_config(task: str) -> EnvConfig:
-    """Return the environment in which attacks act, and are replayed."""
+    """Return the configuration of the environment for attacks and their replays."""
     return EnvConfig(
         task=task, control="joint_position", control_hz=1.0 / STEP_S, split=FREE_SPLIT
     )
@@ -100,19 +103,26 @@ Moment = tuple[EnvSnapshot, FloatArray, int]
 
 
 class ControlTrial(Trial):
-    """The means of an attack at control level. Every hand is a pose, (4, 4)."""
+    """The actions of an attack at control level.
+
+    A *hand* is a pose of the tool centre point in the world, (4, 4).
+    """
 
     def __init__(
         self, env: ControlEnv, robot: str, rng: np.random.Generator, attempt: int = 0
     ) -> None:
-        """Begin an attempt in an environment of :meth:`begin`.
+        """Begin an attempt.
 
-        The other arguments are those of :class:`~lemma.audit.trial.Trial`.
+        Args:
+            env: The environment, from :meth:`begin`.
+            robot: Name of the robot that acts.
+            rng: Source of every random draw.
+            attempt: Number of the attempt, from 0.
         """
         super().__init__(env.episode, robot, rng, attempt)
         self._env = env
         self.could = could_of(self.placement.arm)
-        """Upper bounds of its reach with any orientation of the hand."""
+        """Upper bounds of the robot's reach with any orientation of the hand."""
         self._limits = np.array(ARMS[self.placement.arm].joint_range)
         self._index = self.scene.robot(robot)
         self._reward = 0.0
@@ -164,11 +174,15 @@ class ControlTrial(Trial):
         return hand
 
     def can(self, *hands: FloatArray) -> bool:
-        """Whether the hand can be at each of some poses."""
+        """Whether inverse kinematics finds joint angles for all the poses."""
         return all(len(self.postures(hand)) > 0 for hand in hands)
 
     def posture(self, hand: FloatArray) -> FloatArray | None:
-        """Return the joint angles for a pose that are nearest to the present ones."""
+        """Return the joint angles for a pose that are nearest to the present ones.
+
+        Returns:
+            Joint angles, (6,) [rad]; None if the hand cannot be there.
+        """
         found = self.postures(hand)
         # Whole turns are added where that brings a joint nearer.
         turned = found + np.round((self.joints - found) / math.tau) * math.tau
@@ -190,7 +204,7 @@ class ControlTrial(Trial):
         self.acted = True
         self._row[self.number, :6] = joints
         self._row[self.number, 6] = opening_m
-        # An action space holds numbers of single precision.
+        # Action spaces are of single precision.
         action = np.clip(self._row.astype(np.float32), self._box.low, self._box.high)
         self._commands.append(action)
         self._reward, terminated, truncated = self._env.advance(action)
@@ -199,7 +213,7 @@ class ControlTrial(Trial):
         self.look(self._over)
 
     def wait(self, seconds: float, opening_m: float = FINGER_OPENING_M) -> None:
-        """Stay, while the fingers open or close."""
+        """Keep the joint angles for a time [s] while the fingers open or close."""
         for _ in range(round(seconds / STEP_S)):
             self.command(self.joints.copy(), opening_m)
 
@@ -212,7 +226,7 @@ class ControlTrial(Trial):
             self.command(self.joints.copy(), opening_m)
 
     def go(self, hand: FloatArray, opening_m: float, speed: float = 1.0) -> bool:
-        """Go to a pose, straight in joint space; return whether there is a way."""
+        """Go to a pose, straight in joint space; return whether it is feasible."""
         joints, start = self.posture(hand), self.joints.copy()
         if joints is None:
             return False
@@ -227,10 +241,15 @@ class ControlTrial(Trial):
     def lead(
         self, hands: Sequence[FloatArray], opening_m: float, speed_m_s: float = 0.25
     ) -> bool:
-        """Lead the hand through poses in straight lines; False where it cannot go on.
+        """Lead the hand through poses in straight lines; False if it gets stuck.
 
         Between two poses the position is interpolated, and the orientation is that of
         the second.
+
+        Args:
+            hands: Poses of the hand, (4, 4) each.
+            opening_m: Distance between the fingers [m].
+            speed_m_s: Speed of the hand [m/s].
         """
         start = self.hand()
         for hand in hands:
@@ -269,7 +288,14 @@ class ControlTrial(Trial):
         back_m: float = 0.10,
         lift_m: float = 0.0,
     ) -> bool:
-        """Go to a pose along the fingers' direction; return whether there is a way."""
+        """Go to a pose along the fingers' direction; return whether it is feasible.
+
+        Args:
+            hand: The pose.
+            opening_m: Distance between the fingers [m].
+            back_m: Length of the approach along the fingers [m].
+            lift_m: Additional height at its start [m].
+        """
         if not self.stand_by(hand, opening_m):
             return False
         before = drawn_back(hand, back_m)
@@ -286,7 +312,7 @@ class ControlTrial(Trial):
         Args:
             name: The cube.
             lean: Lean of the hand, from the vertical [rad].
-            ahead_m: Distance of the cube's middle ahead of the tool centre point.
+            ahead_m: Distance of the cube's middle ahead of the tool centre point [m].
         """
         cube, z = self.pose(name), self.height(name)
         faces = [cube.yaw + 0.5 * math.pi * k for k in range(4)]
@@ -298,7 +324,7 @@ class ControlTrial(Trial):
                 yield hand
 
     def pick_up(self, hand: FloatArray) -> bool:
-        """Grasp what is there and lift it; return whether there is a way."""
+        """Close the fingers at a pose and lift; return whether it is feasible."""
         if not self.approach(hand, FINGER_OPENING_M):
             return False
         self.wait(_CLOSE_S, 0.0)
@@ -306,12 +332,12 @@ class ControlTrial(Trial):
         return True
 
     def take(self, name: str, lean: float = 0.0, ahead_m: float = 0.0) -> bool:
-        """Pick up a cube; see :meth:`holds`. Return whether there is a way."""
+        """Pick up a cube; see :meth:`holds`. Return whether it is feasible."""
         hand = next(self.holds(name, lean, ahead_m), None)
         return hand is not None and self.pick_up(hand)
 
     def put(self, hand: FloatArray, back_m: float = 0.10, lift_m: float = 0.0) -> bool:
-        """Let go at a pose, and draw back; return whether there is a way."""
+        """Release at a pose and draw back; see :meth:`approach`."""
         there = self.approach(hand, 0.0, back_m, lift_m)
         if there:
             self.let_go(hand)
@@ -329,7 +355,7 @@ class ControlTrial(Trial):
         Args:
             name: The cube.
             spot: Pose of its middle; the fingers close across its yaw.
-            bottom_m: Height of what it is set down on [m].
+            bottom_m: Height of the surface below it [m].
 
         Returns:
             Whether it now stands there.
@@ -344,7 +370,7 @@ class ControlTrial(Trial):
         return self._env.snapshot(), self._row.copy(), len(self._commands)
 
     def restore(self, moment: Moment) -> None:
-        """Go back to a moment; everything done since then is undone."""
+        """Return to a moment and undo all later actions."""
         snapshot, row, count = moment
         self._env.restore(snapshot)
         self._row = row.copy()
@@ -360,5 +386,5 @@ class ControlTrial(Trial):
         return self._over and self._reward > 0.0
 
     def record(self) -> dict[str, Any]:
-        """Return the commands, (steps, robots, numbers)."""
+        """Return the commands, (steps, robots, numbers of one robot's action)."""
         return {"commands": np.stack(self._commands)}

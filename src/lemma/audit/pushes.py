@@ -1,6 +1,6 @@
-"""Poses of a hand that moves a thing with the stick: geometry of the plane.
+"""Planar geometry of pushes with the stick.
 
-Unlike :mod:`lemma.tasks.drags`, which the expert uses, it knows all sides of the stick,
+Unlike :mod:`lemma.tasks.drags`, which the expert uses, it has all sides of the stick,
 all grasps, and pushes of any length.
 """
 
@@ -19,13 +19,13 @@ from lemma.scene.objects.stick import (
 from lemma.tasks.drags import Disc, stick_gap
 
 LONGEST_M = math.hypot(HANDLE_LENGTH_M, HOOK_LENGTH_M)
-"""From the end of the handle to the tip of the hook."""
-# Between the stick and a thing before it is pushed.
+"""Distance from the end of the handle to the tip of the hook [m]."""
+# Gap between the stick and the object before a push.
 _GAP_M = 0.02
 
 _HALF_M = STICK_SECTION_M / 2
 _CUBE_M = CUBE_EDGE_M / 2
-# Where the middle of the hook's bar is along the handle.
+# Position of the middle of the hook's bar along the handle.
 _BAR_M = HANDLE_LENGTH_M - _HALF_M
 _BESIDE_M = _HALF_M + _CUBE_M
 _INSIDE_M = HANDLE_LENGTH_M - STICK_SECTION_M - _CUBE_M
@@ -33,7 +33,7 @@ _INSIDE_M = HANDLE_LENGTH_M - STICK_SECTION_M - _CUBE_M
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A side of the stick, and the way it pushes."""
+    """A side of the stick and the direction in which it pushes."""
 
     at: tuple[float, float]
     """The middle of a cube that touches it, in the stick's frame [m]."""
@@ -49,7 +49,7 @@ TIP = Contact((_BAR_M, HOOK_LENGTH_M - _HALF_M + _CUBE_M), math.pi / 2)
 CONTACTS = (HOOK, HEAD, CORNER, OUTSIDE, TIP)
 
 END_GRASP = Pose2(GRASP_FROM_END_M, 0.0)
-"""Where the expert holds the stick, in its frame: it reaches farthest then."""
+"""The expert's grasp, in the stick's frame: the stick then reaches farthest."""
 HANDLE_GRASPS = tuple(
     Pose2(round(GRASP_FROM_END_M + 0.05 * i, 3), 0.0)
     for i in range(int((HANDLE_LENGTH_M - 0.12) / 0.05))
@@ -58,41 +58,41 @@ BAR_GRASPS = tuple(
     Pose2(_BAR_M, v, math.pi / 2) for v in (0.04, 0.08, HOOK_LENGTH_M - 0.035)
 )
 GRASPS = HANDLE_GRASPS + BAR_GRASPS
-"""Ways to hold the stick, as poses of the gripper in its frame."""
+"""All grasps of the stick, as poses of the gripper in the stick's frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """One way to move a thing with the stick."""
+    """One push of an object with the stick; poses are in the world's frame."""
 
     grasp: Pose2
     """Gripper in the stick's frame."""
     stick: Pose2
-    """Where the stick is put down first."""
+    """Stick before the push."""
     start: Pose2
-    """Gripper there."""
+    """Gripper before the push."""
     end: Pose2
-    """Gripper where the push ends."""
+    """Gripper after the push."""
     moved: Pose2
-    """Where the thing will be."""
+    """Object after the push."""
 
     @property
     def length_m(self) -> float:
-        """How far the hand moves [m]."""
+        """Length of the hand's path [m]."""
         return self.start.distance(self.end)
 
 
 def push(
     contact: Contact, grasp: Pose2, thing: Pose2, heading: float, length_m: float
 ) -> Push:
-    """Return the push of a thing along a heading.
+    """Return the push of an object along a heading.
 
     Args:
-        contact: Which side of the stick.
+        contact: Side of the stick that pushes.
         grasp: Gripper in the stick's frame.
-        thing: Where the thing is; a cube, or as wide as one.
-        heading: Which way it shall go [rad].
-        length_m: How far [m].
+        thing: Pose of the object, a cube or one of the same width.
+        heading: Direction of the push [rad].
+        length_m: Length of the push [m].
     """
     cos, sin = math.cos(heading), math.sin(heading)
     yaw = heading - contact.heading
@@ -107,7 +107,7 @@ def push(
 
 
 def overlap_m(wanted: Push, obstacles: Sequence[Disc]) -> float:
-    """Return how deep stick and thing would go into obstacles, summed up [m]."""
+    """Return the sum of the penetrations of stick and object into obstacles [m]."""
     deep = 0.0
     for part in (0.0, 0.5, 1.0):
         x = wanted.start.x + part * (wanted.end.x - wanted.start.x)

@@ -1,4 +1,4 @@
-"""The audit: attacks on instances, their outcomes, and the sums of those."""
+"""The audit: attacks on instances, their outcomes, and sums over the outcomes."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,7 +23,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask
 from lemma.tasks.suite import TASKS, load_instance
 
-# A module registers its attacks when it is imported.
+# Importing a module registers its attacks.
 for _name in (
     *("skill.stick", "skill.push", "skill.plan"),
     *(
@@ -49,10 +49,10 @@ class Found:
     split: str
     index: int
     acted: bool
-    """Whether anything was executed; if not, geometry said that it cannot work."""
+    """Whether anything was executed; if not, geometry ruled the attack out."""
     succeeded: bool
     progress: float
-    """Most of the goal that ever held, in [0, 1]."""
+    """Largest share of the goal that held at any time, in [0, 1]."""
     robot: str = ""
     """The robot that succeeded."""
     attempt: int = 0
@@ -60,13 +60,14 @@ class Found:
     subtasks: tuple[GroundedSubTask, ...] = ()
     """The successful sub-tasks, at skill level."""
     commands: NDArray[np.float32] | None = None
-    """The successful commands, at control level, (steps, robots, numbers)."""
+    """The successful commands, at control level, (steps, robots, numbers of one
+    robot's action)."""
     unstable: int = 0
     """Attempts that ended because the physics became unstable."""
     simulated_s: float = 0.0
-    """Simulated time of all attempts with all robots, undone or not [s]."""
+    """Simulated time of all attempts with all robots, including undone parts [s]."""
     seconds: float = 0.0
-    """Time that the processor took [s]; nothing else of this record depends on it."""
+    """Processor time [s]; only this field depends on the machine."""
 
 
 def names_at(level: str) -> tuple[str, ...]:
@@ -87,7 +88,7 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
         names: Names of attacks.
 
     Yields:
-        The outcome of each attack, which ends with the first success of a robot.
+        The outcome of each attack; an attack ends with its first success.
     """
     begun: dict[str, tuple[Any, Any]] = {}
     robots = attackers(instance)
@@ -102,7 +103,7 @@ def audit_instance(instance: Instance, names: Iterable[str]) -> Iterator[Found]:
 
 
 def budgets(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the most that attacks take of an instance, ready for JSON.
+    """Return the limits of attacks, ready for JSON.
 
     See :attr:`~lemma.audit.attack.Attack.budget`.
     """
@@ -113,8 +114,8 @@ def attackers(instance: Instance) -> tuple[str, ...]:
     """Return the robots that must not reach the goal alone.
 
     Returns:
-        All of them; in a task that one robot can do alone, the others; none where the
-        goal says where a hand shall be.
+        All robots. In a task that one robot can do alone: those that cannot. None if
+        the goal has a condition on a hand's position.
     """
     robots, goal = instance.scene.robot_names, instance.goal
     if len(goal.placements) < len(goal.conjuncts):
@@ -129,7 +130,7 @@ def attackers(instance: Instance) -> tuple[str, ...]:
 def cheap_attacks_succeed(instance: Instance) -> str | None:
     """Return the name of a cheap attack that succeeds; None if none does.
 
-    For the sampling of lists, which refuses an instance that one robot solves.
+    The sampling of lists rejects such instances, since one robot solves them.
     """
     cheap = (name for name in ATTACKS if ATTACKS[name].cheap)
     found = audit_instance(instance, cheap)
@@ -181,7 +182,7 @@ def _play(
             try:
                 won = _attempt(attack.play, trial)
             except PhysicsError:
-                # Nothing is won by a simulation that has become meaningless.
+                # The simulation is no longer valid, so the attempt failed.
                 won, unstable = False, unstable + 1
             simulated_s += trial.simulated_s
             if won is None:
@@ -197,7 +198,7 @@ def _play(
 
 
 def _attempt(play: Any, trial: Trial) -> bool | None:
-    """Make one attempt; return whether it succeeded, None if geometry gave it up."""
+    """Make one attempt; return whether it succeeded, None if geometry rules it out."""
     try:
         play(trial)
     except AttemptOver:
@@ -211,9 +212,10 @@ def _attempt(play: Any, trial: Trial) -> bool | None:
 def tally(found: Iterable[Found]) -> dict[str, dict[str, dict[str, Any]]]:
     """Return sums by attack and task, ready for JSON, in the order of the outcomes.
 
-    Instances are tried with every robot; where geometry gave all attempts up, nothing
-    was executed. Progress is the most of a goal that ever held, in [0, 1]. The times
-    are sums as well, simulated and of the processor [s].
+    ``tried`` counts instances, ``executed`` those in which an attack acted because
+    geometry did not rule it out. ``best_progress`` is the largest share of a goal that
+    held at any time, in [0, 1]. ``simulated_s`` and ``seconds`` are sums of simulated
+    and of processor time [s].
     """
     tallies: dict[str, dict[str, dict[str, Any]]] = {}
     for one in found:

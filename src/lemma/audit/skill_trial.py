@@ -18,7 +18,7 @@ _UNLIMITED_S = 1000.0
 
 
 class SkillTrial(Trial):
-    """The means of an attack at skill level."""
+    """The actions of an attack at skill level."""
 
     def __init__(
         self, episode: Episode, robot: str, rng: np.random.Generator, attempt: int = 0
@@ -37,16 +37,21 @@ class SkillTrial(Trial):
         return SymbolicState.observe(self.scene)
 
     def move(self, pick: Pose2, place: Pose2) -> SkillResult:
-        """Pick up what lies at a pose and put it down at another."""
+        """Pick up the object at a pose and put it down at another."""
         return self.do(Primitive.MOVE, pick, place)
 
     def carry(self, name: str, place: Pose2) -> bool:
-        """Pick up an object and put it down at a pose; return whether that went."""
+        """Pick up an object and put it down at a pose; return whether that worked."""
         pick = self.grounder.grasp(self.robot, name, self.state())
         return pick is not None and self.move(pick, place).ok
 
     def do(self, primitive: Primitive, pick: Pose2, place: Pose2) -> SkillResult:
         """Execute a grounded sub-task, as a step of the environment does.
+
+        Args:
+            primitive: The primitive.
+            pick: Gripper at the grasp, in the world's frame.
+            place: Gripper at the release, in the world's frame.
 
         Raises:
             AttemptOver: The goal is reached, or the time is up.
@@ -70,7 +75,7 @@ class SkillTrial(Trial):
         return result
 
     def plan_alone(self) -> Plan | None:
-        """Return the expert's plan for this robot alone, None where there is none."""
+        """Return the expert's plan for this robot alone; None if there is none."""
         return find_plan(
             self.state(),
             self.goal,
@@ -84,11 +89,11 @@ class SkillTrial(Trial):
         return self.episode.snapshot()
 
     def restore(self, moment: EpisodeSnapshot) -> None:
-        """Go back to a moment; everything done since then is undone."""
+        """Return to a moment and undo all later actions."""
         self.episode.restore(moment)
 
     def finish(self) -> bool:
-        """Say ``stop``, and return whether the episode is a success."""
+        """Send ``stop``, and return whether the episode is a success."""
         if not self.episode.is_over:
             self.episode.stop()
         self.best_progress = max(self.best_progress, self.episode.goal_progress)

@@ -1,4 +1,4 @@
-"""One attempt of an attack at an instance: the part that both levels share."""
+"""One attempt of an attack at an instance: the common base of both levels."""
 
 import math
 from abc import ABC, abstractmethod
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class GiveUp(Exception):
-    """Geometry says that this robot cannot succeed, so it makes no further attempt."""
+    """Geometry rules out success with this robot, so it makes no further attempt."""
 
 
 class AttemptOver(Exception):
@@ -37,7 +37,7 @@ class Trial(ABC):
         """Begin an attempt.
 
         Args:
-            episode: At its beginning.
+            episode: An episode in its initial state.
             robot: Name of the robot that acts.
             rng: Source of every random draw.
             attempt: Number of the attempt, from 0.
@@ -53,13 +53,13 @@ class Trial(ABC):
         self.placement = self.scene.spec.robots[self.number]
         self.reach = reach_of(self.placement.arm)
         self.acted = False
-        """Whether anything was executed, undone or not."""
+        """Whether anything was executed, including actions undone later."""
         self.best_progress = 0.0
-        """Most of the goal that ever held, in [0, 1]."""
+        """Largest share of the goal that held at any time, in [0, 1]."""
         self.simulated_s = 0.0
-        """Simulated time of all that was executed, undone or not [s]."""
+        """Simulated time of all actions, including those undone later [s]."""
         self.limit_s = math.inf
-        """The attempt is over after so much of it [s]."""
+        """Simulated time after which the attempt is over [s]."""
 
     @abstractmethod
     def snapshot(self) -> Any:
@@ -67,7 +67,7 @@ class Trial(ABC):
 
     @abstractmethod
     def restore(self, moment: Any) -> None:
-        """Go back to a moment; everything done since then is undone."""
+        """Return to a moment and undo all later actions."""
 
     @abstractmethod
     def finish(self) -> bool:
@@ -75,12 +75,12 @@ class Trial(ABC):
 
     @abstractmethod
     def record(self) -> dict[str, Any]:
-        """Return everything that was done, as fields of :class:`.run.Found`."""
+        """Return the executed actions, as fields of :class:`.run.Found`."""
 
     def require(self, possible: object) -> None:
         """Give up unless geometry allows it.
 
-        Use it only where failure is certain: when in doubt, an attack acts.
+        Use it only where failure is certain; when in doubt, let the attack act.
 
         Raises:
             GiveUp: ``possible`` is false.
@@ -109,7 +109,7 @@ class Trial(ABC):
         return self.placement.base.distance(pose)
 
     def margin(self, pose: Pose2) -> float:
-        """Return how far inside the robot's reach a position is [m]."""
+        """Return the distance of a position inside the reach [m]; negative outside."""
         return self.reach.margin(self.placement.base, pose.x, pose.y)
 
     def outward(self, pose: Pose2) -> float:
@@ -118,17 +118,25 @@ class Trial(ABC):
         return math.atan2(pose.y - base.y, pose.x - base.x)
 
     def at(self, radius_m: float, bearing: float) -> Pose2:
-        """Return the pose at a distance and direction from the base, facing away."""
+        """Return the pose at a distance from the base, facing away from it.
+
+        Args:
+            radius_m: Distance [m].
+            bearing: Direction from the base in the world's frame [rad].
+        """
         base = self.placement.base
         x = base.x + radius_m * math.cos(bearing)
         return Pose2(x, base.y + radius_m * math.sin(bearing), bearing)
 
     def support_m(self, name: str) -> float:
-        """Return how far from its middle an object carries another [m]."""
+        """Return the radius around an object's middle in which it carries others [m].
+
+        It is 0 if the object carries none.
+        """
         return kind_of(name).support_m or 0.0
 
     def cargo(self) -> list[str]:
-        """Return what can be moved, is no tool and has not fallen off the table."""
+        """Return the movable objects that are no tools and have not fallen."""
         fallen = self.scene.fallen
         names = self.scene.movable_names
         return [n for n in names if kind_of(n).cargo and n not in fallen]
@@ -138,14 +146,14 @@ class Trial(ABC):
         return [name for name in self.cargo() if name not in self.goal.entities]
 
     def look(self, is_over: bool) -> None:
-        """Note how much of the goal holds.
+        """Update the best progress after an action.
 
         Raises:
             AttemptOver: The episode is over, or the simulated time is spent.
             Lost: The goal cannot be reached any more, or something was thrown.
         """
         if self.episode.is_thrown:
-            # The goal may hold where a thrown object comes down, which is of no use.
+            # A throw does not count, even if the goal holds where the object lands.
             raise Lost
         self.best_progress = max(self.best_progress, self.episode.goal_progress)
         if is_over:

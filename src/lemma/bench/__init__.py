@@ -1,1 +1,1 @@
-"""Measuring speed, and checking an installation."""
+"""Measurement of speed, and checks of an installation."""

@@ -1,6 +1,6 @@
-"""The checks of `lemma doctor`, one function per question.
+"""The checks of `lemma doctor`, one function each.
 
-Each imports the package that it checks, so that a failed import is an answer too.
+Each function imports the package that it checks, so a failed import is a result, too.
 """
 
 import os
@@ -15,9 +15,9 @@ from lemma.core.version import DISTRIBUTION, extras
 from lemma.core.version import VERSION as __version__
 
 ENGINE = "3.17"
-"""The series of MuJoCo that results are tied to."""
+"""Minor version of MuJoCo that results depend on."""
 PYTHONS = ((3, 11), (3, 14))
-"""The first supported Python, and the first that is not."""
+"""The first supported Python, and the first unsupported one after it."""
 PACKAGES = (
     *("numpy", "scipy", "numba", "gymnasium", "pettingzoo", "pyarrow", "pillow"),
     *("av", "matplotlib", "jinja2", "msgspec", "filelock", "tyro", "rich"),
@@ -28,20 +28,20 @@ _TASK = "stack"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """The answer to one question."""
+    """The result of one check."""
 
     name: str
     ok: bool
     found: str
-    """The finding, for people."""
+    """Text of the finding."""
     advice: str = ""
-    """Instructions for people if the check failed."""
+    """Instructions after a failure."""
     essential: bool = True
-    """Whether the benchmark cannot be used without it."""
+    """Whether the benchmark needs it."""
 
 
 def run_checks(*, all_states: bool = False) -> list[Check]:
-    """Return every check; none of them raises.
+    """Run all checks; none of them raises.
 
     Args:
         all_states: Whether to compare the states of every control mode in every task.
@@ -92,7 +92,7 @@ def _package(name: str) -> Check:
 
 
 def _extra(name: str, packages: list[str]) -> Check:
-    """Return whether the packages of an extra are there; no part of lemma needs all."""
+    """Return whether the packages of an extra are installed; they are optional."""
     versions = {package: installed_version(package) for package in packages}
     return Check(
         f"extra {name}",
@@ -104,7 +104,7 @@ def _extra(name: str, packages: list[str]) -> Check:
 
 
 class _NotWellError(Exception):
-    """Carries the finding and the advice of a check that failed."""
+    """A failed check, with finding and advice."""
 
     def __init__(self, found: str, advice: str) -> None:
         super().__init__(found)
@@ -112,7 +112,7 @@ class _NotWellError(Exception):
 
 
 def _attempt(name: str, question: Callable[[], str], essential: bool = True) -> Check:
-    """Return the answer of a function, or its error as an answer."""
+    """Return the result of a check, or its exception as a result."""
     try:
         return Check(name, True, question(), essential=essential)
     except _NotWellError as error:
@@ -192,13 +192,13 @@ def _cache() -> str:
     from lemma.core.kernels import cache_folder
     from lemma.robots.ur.kinematics import frames
 
-    # All kernels are kept in the same way as this one.
+    # One kernel stands for all: they share the same cache settings.
     path = cache_folder(frames)
     if path is None or not os.access(path, os.W_OK):
         raise _NotWellError(
             "not kept" if path is None else f"kept in {path}",
-            "There is no folder to write to, so that every start compiles for half a "
-            "minute. Set NUMBA_CACHE_DIR to one that you may write to.",
+            "No cache folder is writable, so every start compiles for half a minute. "
+            "Set NUMBA_CACHE_DIR to a folder that you may write to.",
         )
     return f"kept in {path}"
 

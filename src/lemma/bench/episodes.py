@@ -1,4 +1,4 @@
-"""The figures of `lemma bench` about whole episodes: the expert's, and a policy's."""
+"""Measurements of `lemma bench` over episodes of the expert and of a policy."""
 
 import statistics
 import time
@@ -24,24 +24,24 @@ from lemma.viz.recording import record
 
 
 class Trial(NamedTuple):
-    """One instance that the expert worked on."""
+    """One episode of the expert."""
 
     task: str
     fresh: bool
-    """Whether it was sampled for this, or comes from a frozen list."""
+    """Whether the instance is newly sampled, or from a frozen list."""
     success: bool
     simulated_s: float
     rejected: int
-    """Tables that the sampler refused before it."""
+    """Number of candidates that the sampler rejected before it."""
 
 
 def run_trials(tasks: Iterable[str], episodes: int, workers: int) -> Iterator[Trial]:
-    """Let the expert work on frozen and on fresh instances, in several processes.
+    """Run the expert on frozen and on fresh instances, in several processes.
 
     Args:
         tasks: Names of the tasks.
-        episodes: Instances per task and kind.
-        workers: Processes.
+        episodes: Number of instances per task and kind.
+        workers: Number of processes.
 
     Yields:
         The trials, in a fixed order.
@@ -56,7 +56,7 @@ def run_trials(tasks: Iterable[str], episodes: int, workers: int) -> Iterator[Tr
 
 
 def _run_trial(task: str, fresh: bool, index: int) -> Trial:
-    """Let the expert work on an instance: a new one, or one of the frozen list."""
+    """Run the expert on a fresh instance, or on one of the frozen list."""
     rejected = 0
     if fresh:
         drawn = sample(TASKS[task], FREE_SPLIT, index)
@@ -68,7 +68,7 @@ def _run_trial(task: str, fresh: bool, index: int) -> Trial:
 
 
 def expert_figures(trials: Iterable[Trial]) -> dict[str, Figures]:
-    """Return the figures of every task that occurs in the trials."""
+    """Return the figures of each task in the trials."""
     by_task: dict[str, tuple[list[Trial], list[Trial]]] = {}
     for trial in trials:
         by_task.setdefault(trial.task, ([], []))[trial.fresh].append(trial)
@@ -78,7 +78,7 @@ def expert_figures(trials: Iterable[Trial]) -> dict[str, Figures]:
         figures[task] = {
             "episodes": len(frozen),
             "success_rate": statistics.fmean(trial.success for trial in frozen),
-            # Before any filter that keeps only instances that the expert solves.
+            # Without the filter that keeps only instances that the expert solves.
             "raw_success_rate": statistics.fmean(trial.success for trial in fresh),
             "mean_sim_s": statistics.fmean(trial.simulated_s for trial in frozen),
             "max_sim_s": max(trial.simulated_s for trial in frozen),
@@ -88,11 +88,11 @@ def expert_figures(trials: Iterable[Trial]) -> dict[str, Figures]:
 
 
 def measure_policy(name: str, instances: list[Instance]) -> Figures:
-    """Let a policy play, one episode at a time, and time what it does.
+    """Measure the times and the memory of a policy, one episode at a time.
 
     Args:
-        name: Name of the policy, as ``--policy`` takes it.
-        instances: Episodes to play; the first also warms up.
+        name: Name of the policy, as for ``--policy``.
+        instances: Episodes to play; the first one is played once more, as a warm-up.
 
     Raises:
         LemmaError: There is no such policy.
@@ -119,7 +119,7 @@ def measure_policy(name: str, instances: list[Instance]) -> Figures:
 def _play(
     player: Player, instance: Instance
 ) -> tuple[Rollout, list[tuple[float, float]]]:
-    """Play an episode; return it, and seconds to look and to decide of every step."""
+    """Play an episode; return it, and the times to observe and to decide [s]."""
     play, times = Rollout(instance), []
     while not play.episode.is_over:
         start = time.perf_counter()
@@ -137,19 +137,19 @@ def _peak_mb(policy: str, instance: Instance) -> float:
 
 
 PARALLEL_TASKS = ("pass2", "stack2")
-"""Tasks whose plans have sub-tasks that do not depend on each other."""
+"""Tasks whose plans have independent sub-tasks."""
 
 
 def measure_together(instances: Iterable[Instance], turns: int = 3) -> Figures:
-    """Measure makespans, waiting and speed of teams at work at the same time.
+    """Measure makespans, waiting and speed of robots that act together.
 
     Args:
-        instances: Problems of one task.
-        turns: How often the loop is timed, on the first instance.
+        instances: Instances of one task.
+        turns: Number of timings of the loop, on the first instance.
 
     Returns:
-        Shares of successes, and means over the instances that both ways solved; see
-        ``lemma bench`` for the meanings.
+        Success rates, and means over the instances that were solved in turns and
+        together; ``lemma bench`` describes them.
     """
     instances = list(instances)
     solved, both, waited, retreats, deadlocks, least_m = 0, [], [], 0, 0, np.inf

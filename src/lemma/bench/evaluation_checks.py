@@ -1,4 +1,4 @@
-"""Does this installation evaluate as the published results were evaluated?
+"""Checks that this installation reproduces published results.
 
 A fixed sample of each level is played and compared with published lines.
 """
@@ -34,12 +34,13 @@ from lemma.policies.spec import CONTROL, ORACLE, PolicySpec
 NETWORK = "reachnet"
 """Published weights whose decisions are compared."""
 ROUND_TRIP = 1e-6
-"""Largest error of an action that is normalised and back, as a part of its range."""
+"""Largest error of an action after normalisation and its inverse, as a share of its
+range."""
 _ACTIONS = 100
 
 
 def check_evaluation() -> Iterator[Check]:
-    """Yield answers, from the recorded to the learned; none of them raises."""
+    """Yield the results of the checks; none of them raises."""
     yield _attempt("protocol", _protocol)
     yield _attempt("actions, normalised and back", _round_trip)
     yield _attempt("published decisions", _decisions)
@@ -110,7 +111,7 @@ def _decisions() -> tuple[bool, str]:
 
 
 def _expert(spec: PolicySpec) -> tuple[bool, str]:
-    """Let the expert play some episodes; all must be equal to the bit."""
+    """Play episodes of the expert; all must be equal to the bit."""
     lines = published_sample()[spec.level or spec.name]
     pairs = [(line, _played(spec, line)) for line in lines]
     found = [one for line, now in pairs for one in differences(line, now)]
@@ -119,10 +120,10 @@ def _expert(spec: PolicySpec) -> tuple[bool, str]:
 
 
 def _network() -> tuple[bool, str]:
-    """Ask a network for the published decisions, each in the state it was made in.
+    """Compare a network's decisions with published ones, in the published states.
 
-    If it played by itself, poses that differ by 0.1 mm would lead to other states, in
-    which it decides on poses that differ by more.
+    In an episode of its own, poses that differ by 0.1 mm would lead to other states,
+    and these to larger differences of the poses.
     """
     player = load_player(PolicySpec(NETWORK))
     pairs = [(line, _asked(player, line)) for line in published_sample()[NETWORK]]
@@ -136,7 +137,7 @@ def _network() -> tuple[bool, str]:
 
 
 def _asked(player: Player, line: Row) -> Row:
-    """Return a line with what a policy decides in the states that it leads to."""
+    """Return a line with a policy's decisions in the states of that line."""
     rollout = player.begin(start_of(line), line["instruction_kind"])
     found = []
     for step in line["subtasks"]:

@@ -1,4 +1,4 @@
-"""Description of this machine, to be printed beside every measurement."""
+"""Description of this machine, for every measurement."""
 
 import os
 import platform

@@ -1,7 +1,7 @@
-"""The figures of `lemma bench` about speed and memory, by name.
+"""Measurements of `lemma bench` of speed and memory, by name.
 
-A figure beside bare physics is timed in turns with that, from the same states, by the
-time of the thread: so the ratio says the same on a busy machine as on an idle one.
+Measurements relative to bare physics alternate with it, from the same states, in thread
+time. So the ratio does not depend on the load of the machine.
 """
 
 import statistics
@@ -32,7 +32,7 @@ from lemma.tasks.suite import FREE_SPLIT, TASKS
 from lemma.viz.recording import record
 
 Figures = dict[str, float]
-"""Numbers by the name that the JSON has; `lemma bench` says what each means."""
+"""Numbers by their names in JSON; `lemma bench` describes each."""
 
 Play = Callable[[Episode], Iterator[ExpertStep]]
 """Solves an episode, sub-task by sub-task."""
@@ -41,15 +41,15 @@ HZ = 20.0
 """Control steps per simulated second."""
 IMAGE_SIZE = (320, 240)
 _KEPT_STEPS = 7
-"""How long a random action is kept up."""
+"""Number of control steps with the same random action."""
 
 
 def measure_speed(instances: Sequence[Instance], repeats: int = 30) -> Figures:
     """Measure episodes without images, images, sampling, resets and memory.
 
     Args:
-        instances: Episodes to run; what is fast in one task is slow in another.
-        repeats: How often to time what takes milliseconds.
+        instances: Episodes to run; use several tasks, because their speeds differ.
+        repeats: Number of timings of short operations.
     """
     record(instances[0], horizon_s=2.0)
     recordings = [record(instance) for instance in instances]
@@ -68,9 +68,9 @@ def measure_speed(instances: Sequence[Instance], repeats: int = 30) -> Figures:
 
 
 def _time_sampling(tasks: Iterable[str], each: int = 10) -> float:
-    """Return the time to sample an instance, rejected tables included [s]."""
+    """Return the time to sample an instance, including rejected candidates [s]."""
     records = [TASKS[task] for task in sorted(tasks)]
-    # The first has kernels compiled and reach computed.
+    # A warm-up, which compiles kernels and computes reach.
     sample(records[0], FREE_SPLIT, each)
     start = time.perf_counter()
     for task in records:
@@ -91,7 +91,7 @@ def _measure_images(instance: Instance, renderer: Renderer, repeats: int) -> Fig
 def _time_resets(
     instances: Sequence[Instance], renderer: Renderer, repeats: int
 ) -> tuple[float, float]:
-    """Return the times to a first state, and to the first pictures [s]."""
+    """Return the times to the first state, and to the first images [s]."""
     times = []
     for i in range(repeats):
         start = time.perf_counter()
@@ -104,7 +104,7 @@ def _time_resets(
 
 
 def _peak_mb_of_episode(instance: Instance) -> float:
-    """Do all that an environment does, in a new process."""
+    """Return the peak memory of an episode in a new process [MB]."""
     episode = Episode(instance)
     renderer = Renderer()
     scene = episode.simulation.scene
@@ -135,8 +135,8 @@ def measure_control(instance: Instance, steps: int = 200) -> Figures:
     """Measure the control level with random actions.
 
     Args:
-        instance: The scene.
-        steps: Control steps of each measurement; a fifth of them with images.
+        instance: The instance.
+        steps: Number of control steps of each measurement; a fifth of it with images.
     """
     angles, bare = _time_steps(instance, steps, "joint_position")
     poses, bare_poses = _time_steps(instance, steps, "ee_pose")
@@ -171,7 +171,7 @@ def _time_steps(
     scene = env.episode.simulation.scene
     spare = mujoco.MjData(scene.model)
     times: list[tuple[float, float]] = []
-    # The thread's own time says the same on a busy machine; OpenGL has other threads.
+    # Thread time does not depend on the load, but excludes the threads of OpenGL.
     clock = time.thread_time if observation == "state" else time.perf_counter
     # The first warms up.
     for step in range(steps + 1):
@@ -197,28 +197,28 @@ class RecordedLoop(NamedTuple):
     commands: FloatArray
     """Commands of every physics step, (n, nu)."""
     end: FloatArray
-    """The state after the last."""
+    """The state after the last physics step."""
     simulated_s: float
 
 
 def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figures:
-    """Measure the expert's loop beside bare physics with the same motor commands.
+    """Measure the expert's loop and bare physics with the same motor commands.
 
     The loop is planning, grounding, skills, RMPflow and physics, from the first state
-    of an episode to its end. Beside it ``mj_step`` and nothing else ends in the same
-    state to the bit, so that both did the same work. Times are medians of several turns
-    of each sub-task, summed over the episodes.
+    of an episode to its end. For comparison, ``mj_step`` alone runs with the recorded
+    commands, and must end in the same state to the bit. Times are medians over several
+    runs of each sub-task, summed over the episodes.
 
     Args:
-        instances: The problems.
-        turns: How often both do each instance.
+        instances: The instances.
+        turns: Number of runs of each instance.
 
     Raises:
-        PhysicsError: The same commands did not lead to the same state.
+        PhysicsError: The same commands led to another state.
     """
     found = []
     for instance in instances:
-        # This warms up as well.
+        # The recording is also the warm-up.
         recorded = record_loop(instance)
         times = np.array([time_loop(instance, recorded) for _ in range(turns)])
         loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
@@ -233,16 +233,16 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
 
 
 def _one_by_one(episode: Episode) -> Iterator[ExpertStep]:
-    """Let the expert work on an episode, one robot at a time."""
+    """Solve an episode with the expert, one robot at a time."""
     return solve(episode, Expert(episode.simulation.scene, episode.instance.goal))
 
 
 def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
-    """Let the expert solve an instance; record its motor commands.
+    """Solve an instance with the expert, and record its motor commands.
 
     Args:
-        instance: The problem.
-        play: How the expert solves it.
+        instance: The instance.
+        play: Solves the episode.
     """
     episode = Episode(instance)
     scene = episode.simulation.scene
@@ -264,15 +264,15 @@ def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
 def time_loop(
     instance: Instance, recorded: RecordedLoop, play: Play = _one_by_one
 ) -> list[tuple[float, float]]:
-    """Return how long the loop took for each sub-task, and bare physics [s].
+    """Return the times of the loop and of bare physics for each sub-task [s].
 
     Args:
-        instance: The problem.
-        recorded: The expert's earlier run of it.
-        play: How it was solved there.
+        instance: The instance.
+        recorded: The recorded run of it.
+        play: Solves the episode, as in the recorded run.
 
     Raises:
-        PhysicsError: The same commands did not lead to the same state.
+        PhysicsError: The same commands led to another state.
     """
     episode = Episode(instance)
     scene = episode.simulation.scene
@@ -284,7 +284,7 @@ def time_loop(
     going = True
     while going:
         start = time.thread_time()
-        # The last turn finds that nothing is left to do, and stands still.
+        # In the last iteration the goal holds, and the robots rest.
         going = next(steps, None) is not None
         middle = time.thread_time()
         until = round(scene.time_s / TIME_STEP_S)

@@ -1,8 +1,8 @@
-"""Hashes of simulated states, to compare another Python or machine with.
+"""Hashes of simulated states, to compare Python versions and machines.
 
-``states.json`` has the hash of each case after some steps. A case is an instance
-played in one control mode with fixed random actions, or at the skill level by the
-expert. ``scripts/hash_states.py`` writes the file.
+``states.json`` has the hashes of each case after some steps. A case is an instance in
+one control mode with fixed random actions, or at the skill level with the expert.
+``scripts/hash_states.py`` writes the file.
 """
 
 import hashlib
@@ -26,11 +26,11 @@ from lemma.tasks.suite import SUITE, load_instance
 
 FILE = "states.json"
 SKILL = "skill"
-"""Stands for the expert where other cases have the name of a control mode."""
+"""Mode of the cases of the expert, instead of a control mode."""
 STEPS = (20, 200)
-"""Control steps after which a case is hashed; the fast comparison ends at the first."""
+"""Numbers of control steps before the hashes; the fast comparison ends at the first."""
 _KEPT_STEPS = 7
-"""How many control steps an action is repeated for."""
+"""Number of control steps with the same action."""
 _LEVELS = 2**16
 _DIGITS = 16
 
@@ -44,7 +44,7 @@ class Case(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Its name in the file."""
+        """Name of the case in the file."""
         return f"{self.mode}/{self.task}"
 
 
@@ -60,13 +60,13 @@ def fast_cases() -> list[Case]:
 
 
 def expected_hashes() -> dict[str, list[str]]:
-    """Return the hashes that ship with the package, by the key of a case."""
+    """Return the hashes in the package, by the key of a case."""
     text = (files("lemma.bench") / FILE).read_bytes()
     return msgspec.json.decode(text, type=dict[str, list[str]])
 
 
 def differing(cases: list[Case], *, fast: bool = False) -> list[Case]:
-    """Play cases; return those that led to other states than expected.
+    """Play cases; return those whose states differ from the expected ones.
 
     Args:
         cases: Cases of :func:`all_cases`.
@@ -81,9 +81,9 @@ def differing(cases: list[Case], *, fast: bool = False) -> list[Case]:
 
 
 def hash_case(case: Case, steps: tuple[int, ...] = STEPS) -> list[str]:
-    """Play a case; return a hash of all states on the way after so many steps each.
+    """Play a case; return hashes of all states up to each of some numbers of steps.
 
-    The expert's episode has one hash, after its end.
+    The expert's episode has one hash, at its end.
     """
     instance = load_instance(case.task, "test", 0)
     digest = hashlib.sha256()
@@ -108,7 +108,7 @@ def hash_case(case: Case, steps: tuple[int, ...] = STEPS) -> list[str]:
 
 
 def _actions(env: ControlEnv, key: str) -> Iterator[FloatArray]:
-    """Yield random actions without end, which no library or processor rounds."""
+    """Yield random actions, computed so that they are equal on all machines."""
     rng, layout = stream("states", key), env.action_layout
     low = np.broadcast_to(layout.low, layout.shape)
     high = np.broadcast_to(layout.high, layout.shape)

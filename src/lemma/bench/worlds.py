@@ -1,6 +1,6 @@
-"""Speed of many tables at once on a GPU, with and without CUDA graphs, and equality.
+"""Speed of many worlds on a GPU with and without CUDA graphs, and their equality.
 
-It imports torch and MuJoCo Warp, which are extras.
+The module imports torch and MuJoCo Warp, which are optional dependencies.
 """
 
 import time
@@ -18,7 +18,7 @@ Figures = dict[str, float]
 
 
 def describe_device() -> dict[str, Any]:
-    """Return what the tables are simulated on, ready for JSON."""
+    """Return the device of the simulation, ready for JSON."""
     if not torch.cuda.is_available():
         return {"device": "cpu", "torch": torch.__version__, "warp": wp.__version__}
     return {
@@ -33,26 +33,26 @@ def describe_device() -> dict[str, Any]:
 def measure_worlds(
     task: str, worlds: int, steps: int | None = None, **options: Any
 ) -> dict[str, Any]:
-    """Measure speed at 20 Hz with random actions, and whether both paths agree.
+    """Measure speed at 20 Hz with random actions, and compare both paths.
 
     Args:
         task: Name of a task with cubes and pads.
-        worlds: How many tables.
-        steps: Control steps that are timed, after some that are not; 200 on a GPU, 5
-            without.
-        **options: Of :class:`lemma.warp.vector_env.GpuVecEnv`.
+        worlds: Number of worlds.
+        steps: Number of timed control steps, after a warm-up; if None, 200 on a GPU, 5
+            on a CPU.
+        **options: Options of :class:`lemma.warp.vector_env.GpuVecEnv`.
 
     Returns:
         ``eager_hz``, ``graph_hz`` and ``physics_hz``, control steps per second of all
-        tables, the last as if only the physics of these steps took time; ``outside``
-        and ``eager_outside``, the share of time outside physics; ``graphed``,
+        worlds, the last for the physics of these steps alone; ``outside`` and
+        ``eager_outside``, the share of time outside of the physics; ``graphed``,
         ``differences`` of :func:`compare`, ``lost_worlds``, ``ready_s``.
     """
     start = time.perf_counter()
     steps = steps or (200 if torch.cuda.is_available() else 5)
     options = {"pool": 64, "control_hz": CONTROL_HZ, **options}
     env = GpuVecEnv(task, worlds, graph=False, **options)
-    # Episodes end at different times.
+    # Random ages, so that episodes end at different times.
     env._age.random_(0, env._horizon)
     _play(env, 2)
     found: dict[str, Any] = {"ready_s": time.perf_counter() - start}
@@ -86,17 +86,17 @@ def measure_worlds(
 def measure_pictures(
     task: str, worlds: int, steps: int | None = None, **options: Any
 ) -> dict[str, Any]:
-    """Measure RGB-D pictures of the two robots' close cameras, 128 x 128 pixels each.
+    """Measure RGB-D images of the robots' close cameras, by default 128 x 128 pixels.
 
     Args:
-        task: As for :func:`measure_worlds`.
-        worlds: How many tables.
-        steps: How many looks are timed; 50 on a GPU, 2 without.
-        **options: Of :class:`lemma.warp.vector_env.GpuVecEnv`.
+        task: Name of a task with cubes and pads.
+        worlds: Number of worlds.
+        steps: Number of timed observations; if None, 50 on a GPU, 2 on a CPU.
+        **options: Options of :class:`lemma.warp.vector_env.GpuVecEnv`.
 
     Returns:
-        ``images_hz``, pictures with color and depth per second, looks alone;
-        ``rgbd_hz``, control steps per second of all tables, seen after every step.
+        ``images_hz``, images with color and depth per second, without physics;
+        ``rgbd_hz``, control steps per second of all worlds, with images at each step.
     """
     steps = steps or (50 if torch.cuda.is_available() else 2)
     options = {"pool": 64, "control_hz": CONTROL_HZ, **options}
@@ -115,18 +115,18 @@ def measure_pictures(
 
 
 def compare(env: GpuVecEnv, steps: int) -> Figures:
-    """Return the largest differences of both paths, each begun in the same states.
+    """Return the largest differences of the eager and the graph path.
 
-    At every step the commands, and then what follows from the physics, are worked out
-    twice: one call after the other, and by what the environment replays.
+    At every step both paths compute the commands, and then the results of the physics,
+    from the same states.
 
     Args:
-        env: The environment; it goes on.
-        steps: How many steps are compared.
+        env: The environment; its episodes continue.
+        steps: Number of compared steps.
 
     Returns:
-        By name of what a step returns, and ``memory`` and ``commands``; 1 for a truth
-        value or number of an instance that differs anywhere.
+        Largest differences by name of a step's result, ``memory`` and ``commands``; 1
+        if a boolean or an instance's index differs.
     """
     worst: Figures = {}
     for _ in range(steps):
@@ -177,7 +177,7 @@ def _play(env: GpuVecEnv, steps: int) -> None:
 
 
 def _timed(env: GpuVecEnv, steps: int, work: Callable[[], Any]) -> float:
-    """Return the seconds that a call takes when many follow each other."""
+    """Return the mean time of a call in a series of calls [s]."""
     with torch.no_grad():
         work()
         _wait(env)
@@ -189,10 +189,9 @@ def _timed(env: GpuVecEnv, steps: int, work: Callable[[], Any]) -> float:
 
 
 def _in_play(env: GpuVecEnv, steps: int) -> tuple[float, float]:
-    """Return the seconds of a step with random actions, and those of its physics.
+    """Return the time of a step with random actions, and of its physics [s].
 
-    Physics alone, called again and again, would be too fast: arms that nobody commands
-    come to rest.
+    Repeated physics without actions would be too fast, because the arms come to rest.
     """
     simulate, marks = env._simulate, []
 

@@ -1,1 +1,1 @@
-"""The `lemma` command: one small file per verb."""
+"""The `lemma` command: one module per verb."""

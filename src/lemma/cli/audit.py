@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lemma.audit.run import Found
     from lemma.viz.video import VideoStyle
 
-_AT_INTERRUPT = "{done} of {total} instances were done; nothing is kept."
+_AT_INTERRUPT = "{done} of {total} instances were attacked; nothing is saved."
 
 
 def audit(
@@ -40,12 +40,12 @@ def audit(
 ) -> int:
     """Attack instances with one robot alone, in physics.
 
-    Prints what each attack found and took, and the most that it may take. Exits with 1
-    if an attack succeeds.
+    Prints the outcome, time and limits of each attack. Exits with 1 if an attack
+    succeeds.
 
     Args:
         tasks: Names of tasks, separated by commas.
-        suite: Suite of which all tasks are attacked where none are named.
+        suite: Suite whose tasks are attacked unless --tasks names some.
         split: Frozen list; or free, which samples instances and needs --episodes.
         episodes: Number of instances of every task; the whole list by default.
         start: Index of the first instance.
@@ -55,14 +55,14 @@ def audit(
         videos: Folder for a video of every success.
         as_json: Print one JSON object instead of a table.
     """
-    # Imported here so that help does not wait for it.
+    # Import late, so that help is fast.
     from lemma.audit.run import audit as run
     from lemma.audit.run import budgets, tally
 
     names = _attacks(attacks, level)
     keys = _keys(task_names(tasks, suite), split, start, episodes)
     if videos is not None:
-        # A folder that cannot be made is better refused before the work than after.
+        # Fail before the work if the folder cannot be made.
         videos.mkdir(parents=True, exist_ok=True)
     with progress_bar("audit", len(keys), _AT_INTERRUPT) as advance:
         found = run(keys, names, working.make_engine(), advance)
@@ -79,7 +79,7 @@ def audit(
 
 
 def _tell(keys: Sequence[tuple[str, str, int]], found: Sequence["Found"]) -> None:
-    """Say what succeeded, what became unstable, and where nothing was attacked."""
+    """Report successes, unstable simulations, and tasks that were not attacked."""
     for one in (one for one in found if one.succeeded):
         messages().print(
             f"{one.task}/{one.split}/{one.index}: {one.attack} by {one.robot}, "
@@ -89,11 +89,11 @@ def _tell(keys: Sequence[tuple[str, str, int]], found: Sequence["Found"]) -> Non
         if one.unstable:
             messages().print(
                 f"{one.task}/{one.split}/{one.index}: {one.attack} made the physics "
-                f"unstable in {one.unstable} attempts, which count as failed"
+                f"unstable in {one.unstable} attempts, which count as failures"
             )
     attacked = {one.task for one in found}
     for task in dict.fromkeys(task for task, _, _ in keys if task not in attacked):
-        messages().print(f"{task}: one robot shall do it alone, so none attacks")
+        messages().print(f"{task}: not attacked, since one robot may do it alone")
 
 
 def _attacks(listed: str, level: str) -> tuple[str, ...]:
@@ -101,7 +101,7 @@ def _attacks(listed: str, level: str) -> tuple[str, ...]:
 
     Raises:
         UnknownNameError: No such attack.
-        InvalidConfigError: One is of the other level.
+        InvalidConfigError: An attack is of the other level.
     """
     from lemma.audit.attack import ATTACKS
     from lemma.audit.run import names_at
@@ -125,7 +125,7 @@ def _keys(
 
     Raises:
         UnknownNameError: No such task or split.
-        InvalidConfigError: There are not so many.
+        InvalidConfigError: The split has fewer instances.
     """
     from lemma.core.errors import InvalidConfigError
     from lemma.tasks.instance import splits_of
@@ -149,14 +149,14 @@ def _keys(
 
 
 def _print(tallies: dict[str, dict[str, dict[str, Any]]]) -> None:
-    """Print sums by task and attack; those of attacks that succeeded stand out."""
+    """Print sums by task and attack; successful attacks are bold."""
     tasks = dict.fromkeys(task for of_tasks in tallies.values() for task in of_tasks)
     sums = [
         {"task": task, "attack": attack, **tallies[attack][task]}
         for task in tasks
         for attack in tallies
     ]
-    # As many columns as a terminal of 80 characters shows.
+    # These columns fit into a terminal of 80 characters.
     forms = {
         **{"task": "{}", "attack": "{}", "tried": "{}", "executed": "{}"},
         **{"succeeded": "{}", "best_progress": "{:.0%}", "seconds": "{:.1f}"},
@@ -168,10 +168,10 @@ def _print(tallies: dict[str, dict[str, dict[str, Any]]]) -> None:
 
 
 def _print_budgets(of_attacks: dict[str, dict[str, Any]]) -> None:
-    """Print the most that each attack takes of an instance."""
+    """Print the limits of each attack on one instance."""
     header = ("attack", "level", "attempts", "candidates", "simulated s")
     rows = [(name, *budget.values()) for name, budget in of_attacks.items()]
-    title = "At most: attempts with each robot, and in each of them candidates and time"
+    title = "Limits: attempts per robot; candidates and simulated time per attempt"
     print_table(header, rows, title=title, labels=2)
 
 

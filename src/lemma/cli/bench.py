@@ -1,4 +1,4 @@
-"""`lemma bench`: the benchmark's own figures, measured here."""
+"""`lemma bench`: the benchmark's speed and memory, measured on this machine."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -57,7 +57,7 @@ _LOOP_TARGETS = {
     "expert_realtime": ("simulated seconds per second, the expert", "{:.0f}", ""),
     "bare_realtime": ("mj_step with the same motor commands", "{:.0f}", ""),
     "ratio": ("the expert over bare physics", "{:.2f}", "≥ 0.7"),
-    "lowest_ratio": ("in the task in which it is lowest", "{:.2f}", ""),
+    "lowest_ratio": ("the same, lowest of all tasks", "{:.2f}", ""),
 }
 _CONTROL_TARGETS = {
     "bare_physics_hz": ("bare physics, ten mj_step", "{:.0f} steps/s", ""),
@@ -69,18 +69,18 @@ _CONTROL_TARGETS = {
 }
 _POLICY_TARGETS = {
     "decisions": ("decisions that were timed", "{:.0f}", ""),
-    "look_ms": ("both cameras and the map before each", "{:.0f} ms", ""),
+    "look_ms": ("both cameras and the map per decision", "{:.0f} ms", ""),
     "decision_ms": ("one decision, median", "{:.0f} ms", "< 150 ms"),
-    "slowest_ms": ("one decision, 95 of 100 are faster", "{:.0f} ms", ""),
+    "slowest_ms": ("one decision, 95th percentile", "{:.0f} ms", ""),
     "success_rate": ("success in these episodes", "{:.0%}", ""),
-    "peak_mb": ("memory of a process that plays", "{:.0f} MB", "< 1500 MB"),
+    "peak_mb": ("peak memory of an evaluating process", "{:.0f} MB", "< 1500 MB"),
 }
 _TRAINING_TARGETS = {
     "samples_per_s": ("frames, or episodes, per second", "{:.0f}", ""),
     "frames_per_s": ("frames per second", "{:.0f}", ""),
     "gpu_busy": ("share of the time in which the GPU works", "{:.0%}", "≥ 80 %"),
     "gpu_memory_gb": ("memory of the GPU", "{:.1f} GB", ""),
-    "start_s": ("until training is at full speed", "{:.0f} s", ""),
+    "start_s": ("time until training is at full speed", "{:.0f} s", ""),
     "eager_samples_per_s": ("without capture and compiler", "{:.0f}", ""),
     "eager_gpu_busy": ("share of the time in which the GPU works", "{:.0%}", ""),
 }
@@ -90,7 +90,7 @@ _TOGETHER_TARGETS = {
     "makespan_s": ("all robots at once, mean makespan", "{:.1f} s", ""),
     "makespan_ratio": ("makespan over one at a time", "{:.2f}", ""),
     "waited_s": ("waiting for reserved sectors, all robots", "{:.1f} s", ""),
-    "retreats": ("circles of waiting broken by a retreat", "{:.0f}", ""),
+    "retreats": ("deadlocks resolved by a retreat", "{:.0f}", ""),
     "deadlocks": ("sub-tasks that ended as deadlock", "{:.0f}", "0"),
     "clearance_mm": ("least distance between arms", "{:.0f} mm", "≥ 50 mm"),
     "loop_ratio": ("the loop over bare physics", "{:.2f}", "≥ 0.7"),
@@ -103,8 +103,8 @@ _GPU_TARGETS = {
     "eager_outside": ("without CUDA graphs beside physics", "{:.0%}", ""),
     "images_hz": ("RGB-D pictures per second, 128 x 128", "{:,.0f}", "≥ 60,000"),
     "rgbd_hz": ("control steps per second with two of them", "{:,.0f}", ""),
-    "lost_worlds": ("worlds whose state was no number", "{:.0f}", "0"),
-    "ready_s": ("until the first step, with compiling", "{:.0f} s", ""),
+    "lost_worlds": ("worlds with a state that is NaN", "{:.0f}", "0"),
+    "ready_s": ("time until the first step, with compilation", "{:.0f} s", ""),
 }
 _WORLDS = 4096
 _GROUPS = {
@@ -147,23 +147,23 @@ def bench(
     worlds: Number = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Measure speed, memory and, if asked to, the expert's success.
+    """Measure speed, memory and, with --expert, the expert's success.
 
     Args:
         tasks: Tasks to measure with; all eight if none is named.
         expert: Measure the expert's success as well, which takes minutes.
         episodes: Frozen instances per task, and as many fresh ones, for the expert.
         workers: Processes for the expert; one per core by default.
-        together: Measure instead how fast the expert is with all robots at work at the
-            same time, in these tasks or pass2 and stack2.
-        policy: Measure instead how fast this policy decides, and how much memory it
-            needs.
-        training: Measure instead how fast this model learns, and how busy the GPU is.
+        together: Instead, measure the expert with all robots acting at the same time,
+            in these tasks or in pass2 and stack2.
+        policy: Instead, measure the decision time and memory of this policy.
+        training: Instead, measure the training speed of this model and the GPU's load.
         data: With --training: folder of keyframes that lemma render wrote.
-        gpu: Measure instead many tables at once, by lemma.make_gpu_vec, in these tasks
-            or in stack.
-        worlds: With --gpu: how many tables; 4096 by default.
-        as_json: Print one JSON object on the output, and the progress elsewhere.
+        gpu: Instead, measure many worlds at once with lemma.make_gpu_vec, in these
+            tasks or in stack.
+        worlds: With --gpu: number of worlds; 4096 by default.
+        as_json: Print one JSON object on the standard output, and progress on the
+            error stream.
     """
     names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
     asked = {"--policy": policy, "--training": training, "--expert": expert,
@@ -213,7 +213,7 @@ def _print_machine(machine: Mapping[str, object]) -> None:
 
 def _print_group(name: str, figures: Figures, **fields: object) -> None:
     title, targets = _GROUPS[name]
-    # Of training on a CPU there are fewer figures.
+    # Training on a CPU has fewer figures.
     measured = {n: form for n, form in targets.items() if n in figures}
     print_figures(figures, measured, title.format(**fields))
 
@@ -237,11 +237,11 @@ def _check_options(
         )
     if (asked["--training"] is None) != (data is None):
         raise InvalidConfigError(
-            "--training MODEL and --data DIR belong together: name both of them."
+            "--training MODEL needs --data DIR, and --data needs --training."
         )
     if worlds is not None and not (asked["--gpu"] and worlds >= 1):
         raise InvalidConfigError(
-            f"--worlds goes with --gpu and is from 1 up, not {worlds}."
+            f"--worlds needs --gpu and is at least 1, not {worlds}."
         )
 
 
@@ -255,7 +255,7 @@ def _measure_speed(instances: Sequence[Instance], each: int) -> dict[str, Figure
 
 
 def _measure_training(model: str, data: Path) -> Figures:
-    # It imports torch, which is an extra.
+    # Import late: torch is optional.
     from lemma.policies.training.config import TrainingConfig
     from lemma.policies.training.speed import measure_training
 

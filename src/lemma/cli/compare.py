@@ -15,7 +15,7 @@ _HEADER = (
     *("only 1st", "only 2nd", "p"),
 )
 ResultFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-"""A result that ``lemma evaluate`` or ``lemma reproduce`` wrote."""
+"""A result of ``lemma evaluate`` or ``lemma reproduce``."""
 
 
 def compare(
@@ -23,14 +23,15 @@ def compare(
 ) -> int:
     """Compare two policies on the same episodes, one by one.
 
-    Prints the difference of their strict success rates with its 95 % interval
-    (Newcombe's, for paired rates), on how many episodes only one of them succeeded, and
-    the p-value of McNemar's exact test; last of each kind, the same leniently. Episodes
-    that only one of them has are left out. Results of other versions are refused.
+    Prints the difference of the strict success rates with its 95 % interval
+    (Newcombe's, for paired rates), the numbers of episodes in which only one policy
+    succeeded, and the p-value of McNemar's exact test. The last row of each kind has
+    lenient success. Episodes that only one result has are left out. Results of other
+    versions are refused.
 
     Args:
-        first: Folder or file of a result.
-        second: The other.
+        first: Folder or file of the first result.
+        second: Folder or file of the second result.
         as_json: Print one JSON object instead of a table.
     """
     compared = run(first, second)
@@ -38,7 +39,7 @@ def compare(
     if any(compared.unpaired):
         only_first, only_second = compared.unpaired
         messages().print(
-            f"Compared on the {compared.common:,} episodes that both have; the first "
+            f"Compared on the {compared.common:,} episodes of both results; the first "
             f"has {only_first:,} others, the second {only_second:,}.",
             soft_wrap=True,
         )
@@ -53,7 +54,7 @@ def compare(
     rows = []
     for kind, by_task in found.items():
         for task, one in by_task.items():
-            # Last of a kind, all of its tasks once more, leniently.
+            # The last row of a kind is all of its tasks with lenient success.
             name = kind.replace("_", "-") if task == "all" else f"  {task}"
             rows.append((name, *_cells(one)))
     print_table(_HEADER, rows)

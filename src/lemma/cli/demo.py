@@ -55,14 +55,14 @@ def demo(
     """Let a policy solve one instance of each task; write videos and a page.
 
     Args:
-        tasks: Tasks to solve; all eight if none is named, nor a file.
-        which: Which instance.
+        tasks: Tasks to solve; all eight by default, unless a file is named.
+        which: Selection of the instance.
         policy: oracle: the expert; a model; PLANNER+GROUNDER; or package.module:Class.
-        say: A sentence of your own, said at the table of one task.
-        acting: together: all robots at the same time, the expert alone.
-        out: Folder for the videos and for index.html.
-        no_video: Solve only; write nothing.
-        as_json: Print a JSON list on the output, and the progress elsewhere.
+        say: Your own sentence, for one task.
+        acting: turns: one robot at a time; together: all at once, only the expert.
+        out: Folder for the videos and index.html.
+        no_video: Only solve; write no files.
+        as_json: Print a JSON list instead of a table.
 
     Returns:
         Exit code: 1 if the policy failed at any task.
@@ -71,11 +71,11 @@ def demo(
     if which.instance is not None and not tasks:
         names = (None,)
     if say is not None and len(names) != 1:
-        raise InvalidConfigError("--say is about one table: name one task.")
+        raise InvalidConfigError("--say needs exactly one task.")
     if acting == "together" and policy != ORACLE:
         raise InvalidConfigError(
-            f"--acting together is for the expert, --policy {ORACLE}: policies take "
-            "turns here."
+            f"--acting together needs the expert, --policy {ORACLE}; other policies "
+            "take turns here."
         )
     instances = [select_instance(name, which) for name in names]
     if not no_video:
@@ -105,10 +105,10 @@ def demo(
 def _listen(
     console: Console, say: str, instance: Instance, player: Player, policy: str
 ) -> Instance:
-    """Return the table of an instance with another sentence, and say what it asks for.
+    """Return an instance with another sentence, and print the sentence's goal.
 
     Raises:
-        InvalidConfigError: Nobody understood it.
+        InvalidConfigError: The policy did not understand the sentence.
     """
     said, reading = hear(say, instance, player, knows=policy == ORACLE)
     if not reading.pairs or not reading.acts:
@@ -120,9 +120,9 @@ def _listen(
 def _solve_and_film(
     console: Console, instances: list[Instance], player: Player | None, page: Path
 ) -> list[Recording]:
-    """Solve all instances, then render; at once, it would spoil the times."""
+    """Solve all instances, then render, so that rendering does not distort times."""
     style = VideoStyle()
-    # A replay may be looked at slowly; a video needs fewer states.
+    # Replays can be played slowly, so they need more states than a video.
     frame_s = style.frame_s / _FINER
     recordings = [_solve(console, instance, player, frame_s) for instance in instances]
     words = f"\nRendering {len(recordings)} videos in {page.parent} ..."
@@ -136,8 +136,8 @@ def _solve_and_film(
         )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"Interrupted: videos that were named are in {page.parent}; the page is "
-            "not written."
+            f"Interrupted: the listed videos are in {page.parent}; the page is not "
+            "written."
         ) from None
     replays = _replay_all(console, recordings, page.parent)
     write_page(page, recordings, illustrations, style.speed, replays)
@@ -147,9 +147,9 @@ def _solve_and_film(
 def _replay_all(
     console: Console, recordings: list[Recording], folder: Path
 ) -> dict[str, str]:
-    """Write a page to turn around for each; return their files, by task."""
+    """Write an interactive replay of each; return the file names, by task."""
     if not (find_spec("viser") and find_spec("trimesh")):
-        console.print("No replays: they take the extra play.")
+        console.print("No replays: they need the extra play.")
         return {}
     from lemma.viewer.replays import write_recording
 
@@ -165,9 +165,9 @@ def _replay_all(
 def _solve(
     console: Console, instance: Instance, player: Player | None, frame_s: float | None
 ) -> Recording:
-    """Let a policy solve an instance, reporting what it does.
+    """Play an instance with a policy, and report its sub-tasks.
 
-    Without one, the expert lets all robots work at the same time.
+    Without a policy, the expert acts with all robots at the same time.
     """
     instruction = main_sentence(instance)
     line = Text.assemble(
@@ -199,7 +199,7 @@ def _report(console: Console, line: Line, robots: Mapping[str, str]) -> None:
 
 
 def summary(recordings: list[Recording]) -> Table:
-    """Return the table at the end: how every task went."""
+    """Return the final table with the result of every task."""
     rows = tuple(
         (
             *(done.instance.task, main_sentence(done.instance), done.instance.team),

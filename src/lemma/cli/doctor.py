@@ -1,4 +1,4 @@
-"""`lemma doctor`: is everything there, and does it work?"""
+"""`lemma doctor`: checks of the installation."""
 
 from dataclasses import asdict
 
@@ -13,13 +13,13 @@ from lemma.cli.options import Flag, JsonFlag, messages, output, print_json
 def doctor(
     states: Flag = False, evaluation: Flag = False, as_json: JsonFlag = False
 ) -> int:
-    """Check versions, rendering, physics and the expert; say what is missing.
+    """Check versions, rendering, physics and the expert; list what is missing.
 
     Args:
         states: Compare the simulated states of every control mode in every task with
             those of other machines, which takes a minute; a few are always compared.
-        evaluation: Play a fixed sample of each level, and say whether it is equal to
-            the published lines.
+        evaluation: Play a fixed sample of each level, and compare it with the published
+            lines.
         as_json: Print one JSON object instead of a table.
     """
     with messages().status("Checking (the first run compiles, for half a minute) ..."):
@@ -57,13 +57,13 @@ def _print(checks: list[Check], machine: dict[str, object], healthy: bool) -> No
             mark = Text("FAILED", style="bold red")
         else:
             mark = Text("note", style="yellow")
-        # Text, because paths and messages may look like markup.
+        # Text, because paths and messages may contain markup characters.
         found = Text(check.found)
         if not check.ok:
             found.append(f"\n{check.advice}", style="bold")
         table.add_row(mark, check.name, found)
     console.print(table)
     if healthy:
-        console.print("Everything that is needed works.", style="green")
+        console.print("All required parts work.", style="green")
     else:
-        console.print("Something that is needed does not work.", style="bold red")
+        console.print("A required part does not work.", style="bold red")

@@ -1,4 +1,4 @@
-"""`lemma evaluate`: a policy on a frozen split, with a table of success rates."""
+"""`lemma evaluate`: evaluation of a policy on a frozen split."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
@@ -25,6 +25,7 @@ from lemma.cli.options import (
     words,
 )
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.core.errors import InvalidConfigError
 from lemma.policies.interfaces import TIMEOUT_S
 from lemma.policies.planners.chat import ChatOptions
 
@@ -36,9 +37,9 @@ if TYPE_CHECKING:
 
 _COMPLAINTS = 5
 _AT_INTERRUPT = (
-    "{done} of {total} episodes are kept in episodes.jsonl. The same command goes on "
-    "from there; it plays groups of ten again that were not finished, because the last "
-    "bits of a network depend on what is in its batch."
+    "{done} of {total} episodes are saved in episodes.jsonl. The same command "
+    "continues from there. It repeats unfinished groups of ten episodes, because the "
+    "last bits of a network's output depend on the batch."
 )
 
 
@@ -47,49 +48,53 @@ class EvaluateOptions:
     """Options of the evaluation."""
 
     instructions: Listed = "high-level"
-    """Kinds of instructions: high-level, human, unseen, blind; or all, for every kind
-    of the tasks."""
+    """Kinds of instructions: high-level, human, unseen, blind; or all, which means
+    every kind of the tasks."""
+    pairs: Flag = False
+    """Play pairs of one table and one sentence, of which one team can do it and another
+    one cannot: the right answer is then to refuse. --episodes counts two for each."""
     tasks: Listed = ALL
     """Names of tasks, separated by commas."""
     suite: SuiteName = "lemma"
-    """Suite of which all tasks are played where none are named."""
+    """Suite whose tasks are played unless --tasks names some."""
     split: Word = None
     """Frozen list of instances, test by default; or free, which samples instances and
-    needs --episodes. Tasks of your own are free by default."""
+    needs --episodes. For your own tasks the default is free."""
     episodes: Number = None
-    """Only the first so many of every task."""
+    """Number of episodes of every task, from the first; all by default."""
     level: Literal["auto", "plan", "skill", "control"] = "auto"
     """Kind of action. plan: sub-tasks without poses, executed with the expert's; skill:
     sub-tasks with poses; control: motor commands; auto: chosen by the policy's name."""
     acting: Literal["auto", "turns", "together"] = "auto"
-    """How robots act. turns: one works at a time; together: the policy gives orders to
-    all free robots, several of which work at once; auto: together in the suite teams,
-    else turns."""
+    """How robots act. turns: one at a time; together: the policy gives orders to all
+    free robots, so several act at once; auto: together in the suite teams, otherwise
+    turns."""
     adapter: Literal["auto", "greedy", "turns"] = "auto"
-    """How a sequential policy acts together. greedy: it orders free robots as long as
-    its next sub-task is for one; turns: one sub-task at a time."""
+    """How a sequential policy acts with --acting together. greedy: it gives orders as
+    long as its next sub-task is for a free robot; turns: one sub-task at a time."""
     policy_args: Arguments = ""
-    """Arguments of a class of your own, or the environment of a model server;
-    values are numbers, true, false or text."""
+    """Arguments of your own class, or the environment of a model server; values are
+    numbers, true, false or text."""
     planning: Literal["single-step", "multi-step"] = "single-step"
-    """Observe before every sub-task, or plan all from the first observation."""
+    """single-step: observe before every sub-task; multi-step: plan all sub-tasks from
+    the first observation."""
     gta: Flag = False
-    """Ground-truth allocation: the right robot replaces the planner's choice."""
+    """Ground-truth allocation: the correct robot replaces the planner's choice."""
     timeout_s: Annotated[float, tyro.conf.arg(name="timeout", metavar="SECONDS")] = (
         TIMEOUT_S
     )
-    """Time limit for a decision of your own class or server [s]; 0: no limit, and a
-    class runs in this process."""
+    """Time limit for a decision of your own class or server [s]. 0: no limit; a class
+    then runs in this process."""
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
-    """Controls. none: no sentence is given; shuffled: the sentence of the next
-    instance; swapped: other colors, that is, another goal on the same table."""
+    """Language controls. none: no sentence; shuffled: the sentence of the next
+    instance; swapped: a sentence with swapped colors, so another goal."""
     instance: File = None
-    """JSON file with an instance of your own; only this one is played."""
+    """JSON file with your own instance; only this one is played."""
     perturb_start: Flag = False
     """Move objects at the start by up to 3 cm and 15 degrees."""
     disturb: Literal["no", "durations", "slow", "stops"] = "no"
-    """Disturb robots. durations: each sub-task takes 1 to 1.86 times as long; slow: one
-    robot is half as fast; stops: one stands still for 20 s."""
+    """Disturbance of robots. durations: each sub-task takes 1 to 1.86 times as long;
+    slow: one robot has half the speed; stops: one robot stops for 20 s."""
     protocol: Literal["both", "strict"] = "both"
     """Verdicts. strict: the first infeasible sub-task ends an episode. both: the
     episode then continues, for the lenient verdict; one run gives both verdicts."""
@@ -105,7 +110,7 @@ class LanguageModelOptions(ChatOptions):
 
 _EVERYTHING = EvaluateOptions()
 NO_MODEL = LanguageModelOptions()
-"""No language model is asked."""
+"""Options without a language model."""
 
 
 def evaluate(
@@ -118,15 +123,15 @@ def evaluate(
         LanguageModelOptions, tyro.conf.arg(name=""), tyro.conf.FlagCreatePairsOff
     ] = NO_MODEL,
 ) -> int:
-    """Let a policy play the episodes of a frozen split, and count its successes.
+    """Play the episodes of a frozen split with a policy, and count its successes.
 
-    Finished episodes are kept, so the same command goes on where it was stopped.
+    Finished episodes are saved, so the same command continues an interrupted run.
 
     Args:
         policy: oracle; a model; PLANNER+GROUNDER; package.module:Class; a policy of
             LeRobot, lerobot:CHECKPOINT, or lerobot-privileged:CHECKPOINT if it observes
             the true state; the address of a server, http://HOST:PORT or
-            vla-eval://HOST:PORT; or a planner alone, llm:MODEL, greedy-reach,
+            vla-eval://HOST:PORT; or only a planner, llm:MODEL, greedy-reach,
             random-valid or noisy-oracle:0.1, with the expert's poses.
         out: Folder of the result: one line per episode in episodes.jsonl, counts and
             causes of failure in summary.json.
@@ -135,17 +140,20 @@ def evaluate(
         as_json: Print one JSON object instead of a table.
         model: Options of a language model.
     """
-    # Imported here, so that help does not wait for it.
+    # Import late, so that help is fast.
     from lemma.evaluation.analysis.result import summarise
     from lemma.evaluation.protocol.rules import NAME, deviations
     from lemma.evaluation.records import SUMMARY, read_about
+    from lemma.evaluation.report.pair_table import pair_table
     from lemma.evaluation.report.tables import rates
     from lemma.evaluation.report.team_table import team_table
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)
     for deviation in deviations():
-        complain(f"This is not protocol {NAME}, and its result says so: {deviation}.")
+        complain(
+            f"This deviates from protocol {NAME}, as the result states: {deviation}."
+        )
     with progress_bar("evaluate", config.total, _AT_INTERRUPT) as advance:
         rows = run(config, working.make_engine(), advance)
     result = summarise(rows, read_about(out), config.command())
@@ -153,8 +161,11 @@ def evaluate(
     complain_of(rows)
     teams = result.teams
     if as_json:
-        team_fields = {"teams": [asdict(each) for each in teams]} if teams else {}
-        print_json(_rates(result.cells, config.kinds) | team_fields)
+        more: dict[str, Any] = {"teams": teams, "pairs": result.pairs}
+        listed = {k: [asdict(one) for one in v] for k, v in more.items() if v}
+        print_json(_rates(result.cells, config.kinds) | listed)
+    elif result.pairs:
+        output().print(pair_table((p.kind, p) for p in result.pairs).terminal())
     else:
         output().print(rates(result.cells).terminal())
         if teams:
@@ -167,16 +178,24 @@ def evaluate(
 def _config(
     policy: str, out: Path, ask: EvaluateOptions, model: ChatOptions
 ) -> "EvaluationConfig":
-    """Return what the options mean."""
+    """Return the configuration for the options."""
     from lemma.evaluation.evaluation import named_at, usual_split
     from lemma.evaluation.run.config import EvaluationConfig, acting_by_default
     from lemma.policies.spec import PolicySpec
     from lemma.tasks.instance import OWN_SPLIT, Instance
     from lemma.tasks.language.blind import kinds_of
+    from lemma.tasks.teams.pairs import PAIR_TASK, PAIRS
 
     own = Instance.load(ask.instance) if ask.instance else None
     tasks = task_names(ask.tasks, ask.suite)
-    if own is not None and ask.tasks == ALL:
+    if ask.pairs:
+        if ask.instance or ask.split or ask.tasks != ALL:
+            raise InvalidConfigError(
+                "Pairs have tables of their own. Use --pairs without --tasks, --split "
+                "and --instance."
+            )
+        tasks, split = (PAIR_TASK,), PAIRS
+    elif own is not None and ask.tasks == ALL:
         tasks, split = (own.task,), OWN_SPLIT
     else:
         split = usual_split(tasks)
@@ -211,7 +230,7 @@ def _config(
 
 
 def effort_lines(result: "Result") -> list[str]:
-    """Return what a language model was asked, and how it chose robots, in words."""
+    """Return a language model's numbers of calls, tokens and errors, as text."""
     planning = result.planning
     if not planning:
         return []
@@ -233,7 +252,7 @@ def effort_lines(result: "Result") -> list[str]:
 
 
 def complain_of(rows: "list[Row]") -> None:
-    """Say which episodes failed because the policy itself did."""
+    """Report the episodes that failed because of an error of the policy."""
     faulty = [row for row in rows if row.get("policy_error")]
     if not faulty:
         return
@@ -243,15 +262,15 @@ def complain_of(rows: "list[Row]") -> None:
             f"{row['task']} {row['index']}: {error['kind']}: {error['explanation']}"
         )
     complain(
-        f"{len(faulty)} of {len(rows)} episodes failed because the policy did "
-        "(policy_error in episodes.jsonl)."
+        f"{len(faulty)} of {len(rows)} episodes failed because of an error of the "
+        "policy (policy_error in episodes.jsonl)."
     )
 
 
 def _rates(
     cells: "tuple[Cell, ...]", kinds: tuple[str, ...]
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return rates of success by kind of instruction and task, ready for JSON."""
+    """Return success rates by kind of instruction and task, ready for JSON."""
     from lemma.evaluation.analysis.rates import leniently, rates_by
 
     strict = rates_by(cells, "kind", "task")

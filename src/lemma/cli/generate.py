@@ -31,7 +31,7 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
 _AT_INTERRUPT = (
-    "{done} of {total} episodes are written. The same command goes on from there."
+    "{done} of {total} episodes are saved. The same command continues from there."
 )
 _RECIPE = Path(f"data/lemma-{BENCHMARK_VERSION}")
 _RECOVERY = Path(f"data/lemma-{BENCHMARK_VERSION}-recovery")
@@ -64,20 +64,20 @@ def generate(
     resume: bool = True,
     as_json: JsonFlag = False,
 ) -> int:
-    """Let the expert solve the frozen instances, and write what it did.
+    """Let the expert solve the frozen instances, and record its episodes.
 
-    Files that exist are kept, so the same command continues an interrupted run.
+    Existing files are kept, so the same command continues an interrupted run.
 
     Args:
         tasks: Names of tasks, separated by commas.
-        suite: Suite of which all tasks are solved where none are named.
+        suite: Suite whose tasks are solved unless --tasks names some.
         split: Names of splits, separated by commas; all frozen ones by default, train
-            with --perturb, free for tasks of your own. Split free needs --episodes.
-        episodes: Only the first so many of every task and split; all by default.
-        perturb: Make recovery states instead of demonstrations: each sub-task goes
-            wrong with this probability, such as 0.3, and the expert's decision is
-            recorded too.
-        perturb_seed: With --perturb: another seed makes other mistakes.
+            with --perturb, free for your own tasks. Split free needs --episodes.
+        episodes: Number of episodes of every task and split; all by default.
+        perturb: Make recovery states instead of demonstrations: each sub-task is
+            disturbed with this probability, such as 0.3, and the expert's decision is
+            recorded as a label.
+        perturb_seed: With --perturb: seed of the disturbances.
         out: Folder of the recipe; data/lemma-v3 by default, and
             data/lemma-v3-recovery with --perturb.
         working: Options of the workers.
@@ -90,8 +90,8 @@ def generate(
     out = order.out
     if not resume and out.is_dir() and any(out.iterdir()):
         raise InvalidConfigError(
-            f"{out} is not empty. Leave out --no-resume to complete what is there, or "
-            "choose another folder; nothing is ever deleted."
+            f"{out} is not empty. Leave out --no-resume to complete it, or choose "
+            "another folder; files are never deleted."
         )
     engine = working.make_engine()
     with progress_bar("generate", order.total, _AT_INTERRUPT) as advance:
@@ -118,15 +118,15 @@ def order_of(
     perturb_seed: int = 0,
     out: Path | None = None,
 ) -> GenerateConfig:
-    """Return the settings that the options of :func:`generate` mean.
+    """Return the configuration for options of :func:`generate`.
 
     Raises:
-        InvalidConfigError: A seed has no use.
+        InvalidConfigError: ``perturb_seed`` without ``perturb``.
         LemmaError: A name is unknown.
     """
     if perturb is None and perturb_seed:
         raise InvalidConfigError(
-            "--perturb-seed draws mistakes, but none are made. Add --perturb 0.3."
+            "--perturb-seed has no effect without --perturb. Add --perturb 0.3."
         )
     mistakes = None if perturb is None else Perturbation(perturb, perturb_seed)
     splits = ("train",) if mistakes else tuple(SPLITS)
@@ -144,7 +144,7 @@ def order_of(
 
 
 def figures(summary: GenerateSummary, workers: int) -> dict[str, Any]:
-    """Return the outcome of a run, with rates."""
+    """Return the figures of a run, with rates per second."""
     rate = summary.made / summary.seconds
     found = {**asdict(summary), "workers": workers, "episodes_per_s": rate}
     found["episodes_per_s_and_worker"] = rate / workers
@@ -152,16 +152,16 @@ def figures(summary: GenerateSummary, workers: int) -> dict[str, Any]:
 
 
 def _print_comparison(others: list[str] | None) -> None:
-    """Say whether the episodes are equal to the published ones."""
+    """Report whether the episodes are equal to the published ones."""
     if others is None:
         return
     if not others:
         output().print("Every episode equals the published one, to the bit.")
         return
     output().print(
-        f"{len(others)} episodes are not what the authors' machine made, such as "
-        f"{others[0]}. They are as good; but this engine, C library or processor "
-        "computes other last bits. See docs/determinism.md.",
+        f"{len(others)} episodes differ from the published ones, such as {others[0]}. "
+        "They are equally valid, but this engine, C library or processor computes "
+        "other last bits. See docs/determinism.md.",
         style="yellow",
     )
 
@@ -170,8 +170,8 @@ def _print_recovery(found: RecoveryFigures) -> None:
     """Print figures of perturbed executions."""
     mistakes = ", ".join(f"{kind} {count}" for kind, count in found.mistakes.items())
     output().print(
-        f"{found.solved} of {found.episodes} episodes were solved in spite of "
-        f"{sum(found.mistakes.values())} mistakes in {found.subtasks} sub-tasks "
+        f"{found.solved} of {found.episodes} episodes were solved despite "
+        f"{sum(found.mistakes.values())} disturbances in {found.subtasks} sub-tasks "
         f"({mistakes}). {found.keyframes} keyframes have a label, {found.after} of "
-        f"them after a mistake; {found.unlabelled} have none and are left out.",
+        f"them after a disturbance; {found.unlabelled} have none and are left out.",
     )

@@ -1,4 +1,4 @@
-"""`lemma inspect`: what is in a recipe; one episode of it as pictures."""
+"""`lemma inspect`: a summary of a recipe, or pictures of one of its episodes."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -37,13 +37,13 @@ def inspect(
     out: File = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Say what is in a recipe; with --task and --index, draw one episode.
+    """Summarize a recipe; with --task and --index, draw one episode.
 
     Args:
         data: Folder of the recipe.
         task: Only this task.
         split: Only this split; for one episode, test by default.
-        index: Draw the episode of this number.
+        index: Index of the episode to draw.
         out: The picture of the episode (PNG); in out/inspect by default.
         as_json: Print one JSON object instead of a table.
     """
@@ -66,9 +66,7 @@ def _inspect_episode(
     recipe: Recipe, task: str | None, split: str, index: int, out: Path | None
 ) -> int:
     if task is None:
-        raise InvalidConfigError(
-            "--index names an episode of one task. Say which with --task."
-        )
+        raise InvalidConfigError("--index needs a task. Name it with --task.")
     record = recipe.find(task, split, index)
     path = out or Path("out", "inspect", f"{task}-{split}-{index}.png")
     check_picture_path(path)
@@ -96,7 +94,7 @@ def _print_episode(record: EpisodeRecord) -> None:
 
 
 def _print(found: RecipeSummary, size_mb: float) -> None:
-    """Print the numbers by task, by split, by team, and of all."""
+    """Print the numbers by task, by split, by team, and in total."""
     groups = [g for g in (found.tasks, found.splits, found.teams) if len(g) > 1]
     rows = [(name, *_cells(one)) for group in groups for name, one in group.items()]
     rows.append((ALL, *_cells(found.total)))
@@ -106,7 +104,7 @@ def _print(found: RecipeSummary, size_mb: float) -> None:
 
 
 def _cells(group: GroupSummary) -> tuple[str, ...]:
-    """Return the numbers of a group in words."""
+    """Return the numbers of a group as text."""
     objects, more = group.objects, group.distractors
     return (
         f"{group.episodes}",

@@ -1,4 +1,4 @@
-"""`lemma instructions`: sentences that a task is asked for with."""
+"""`lemma instructions`: instructions of a task."""
 
 from collections.abc import Iterator
 from itertools import count, islice
@@ -27,20 +27,20 @@ def instructions(
     seed: int = 0,
     as_json: JsonFlag = False,
 ) -> int:
-    """Draw instructions of a task, as training sees them or of one kind.
+    """Draw instructions of a task, as in training or of one kind.
 
     Args:
         task: Name of the task.
-        n: How many sentences.
-        kind: training draws from high_level and human, which is what resampled
-            instructions are; sub prints sub-instructions, as the expert plans them.
-        seed: Seeds the draws.
+        n: Number of sentences.
+        kind: training draws from high_level and human, as training does; sub prints
+            the sub-instructions of the expert's plan.
+        seed: Seed of the draws.
         as_json: Print a JSON list instead of a table.
     """
     TASKS[task]
     if n < 1 or seed < 0:
         raise InvalidConfigError(
-            f"--n goes from 1 up and --seed from 0, not {n} and {seed}."
+            f"--n is at least 1 and --seed at least 0, not {n} and {seed}."
         )
     drawn = islice(_draw(task, kind, seed), n)
     rows = [(instance.key, text) for instance, text in drawn]
@@ -52,7 +52,7 @@ def instructions(
 
 
 def _draw(task: str, kind: Kind, seed: int) -> Iterator[tuple[Instance, str]]:
-    """Yield training instances, sampled if there is no list, and sentences for them."""
+    """Yield training instances, sampled if there is no list, and their sentences."""
     draws = stream("instructions", task, seed)
     for number in count():
         index = int(draws.integers(splits_of(task)["train"]))
@@ -75,7 +75,7 @@ def _sentences(
 
 
 def _plan(instance: Instance) -> list[str]:
-    """Return what the expert would tell the robots, in order."""
+    """Return the sub-instructions of the expert's plan, in order."""
     names = robot_phrases(instance.scene.robots)
     spoken = dict(zip(instance.scene.robot_names, names, strict=True))
     plan = Expert(Scene(instance.scene), instance.goal).plan()

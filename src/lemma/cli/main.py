@@ -1,4 +1,4 @@
-"""The `lemma` command: one verb per file, and one way of reporting errors."""
+"""The `lemma` command: its verbs, and the reports of errors."""
 
 import ast
 import sys
@@ -24,9 +24,9 @@ VERBS = (
 )
 """The verbs, in the order of the help.
 
-A verb is a function of the same name in a module of the same name in this package, with
-underscores for dashes. Its parameters are its options. It is imported when it is
-called, and when it is asked for help: what all of them need takes seconds to import.
+A verb is a function in the module of the same name in this package, with underscores
+for dashes. Its parameters are its options. Its module is imported only for this verb,
+since importing all of them takes seconds.
 """
 
 _DESCRIPTION = (
@@ -34,16 +34,16 @@ _DESCRIPTION = (
     "follow alone."
 )
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, as in shells."""
 BAD_INPUT = 2
-"""Exit code for what the user can put right; argument errors use it as well."""
+"""Exit code for errors that the user can correct, including errors of arguments."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and leave with its exit code.
+    """Run the command line, and exit with its exit code.
 
     Args:
-        arguments: Words after `lemma`; those of this process if None.
+        arguments: Words after `lemma`; None for those of this process.
 
     Raises:
         SystemExit: Always.
@@ -59,15 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         complain(_about_missing(error))
         code = BAD_INPUT
     except KeyboardInterrupt as interrupt:
-        # A verb says what is kept, see progress_bar.
-        complain(str(interrupt) or "Interrupted: nothing is kept.")
+        # The message of the exception comes from `progress_bar`.
+        complain(str(interrupt) or "Interrupted: nothing is saved.")
         code = INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has closed it; closing it here must not fail as well.
+        # The output's reader has closed it; avoid a second error when it is flushed.
         sys.stderr.close()
         code = 0
     except OSError as error:
-        # A folder that cannot be written to, a file where a folder should be.
+        # Such as a folder without permission to write, or a file in place of a folder.
         place = f"{error.filename} cannot be used: " if error.filename else ""
         complain(f"{place}{error.strerror or error}.")
         code = BAD_INPUT
@@ -89,7 +89,7 @@ def _run(words: list[str], plugins: list[str]) -> int:
 
 
 def split_plugins(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Take ``--plugin NAME`` out of a command line, wherever and how often it stands.
+    """Remove every ``--plugin NAME`` from a command line.
 
     Plugins are imported before the other words are parsed, because these may be names
     that a plugin registers.
@@ -113,15 +113,15 @@ def _functions(words: Sequence[str]) -> dict[str, Callable[..., int]]:
     """Return the verbs that a command line needs.
 
     Raises:
-        UnknownNameError: Its first word is none.
-        ImportError: Something is not installed.
+        UnknownNameError: Its first word is not a verb.
+        ImportError: A required package is not installed.
     """
     first = words[0]
     if first in VERBS:
         return {first: _imported(first)}
     if not first.startswith("-"):
         raise UnknownNameError("verb", first, VERBS)
-    # Completion of the shell knows every option of every verb.
+    # Shell completion needs every option of every verb.
     return {verb: _imported(verb) for verb in VERBS}
 
 
@@ -132,7 +132,7 @@ def _imported(verb: str) -> Callable[..., int]:
 
 
 def summary_of(verb: str) -> str:
-    """Return the first line of a verb's help, without an import of its module."""
+    """Return the first line of a verb's help without importing its module."""
     name = verb.replace("-", "_")
     source = Path(__file__).with_name(f"{name}.py").read_text("utf-8")
     (function,) = (
@@ -152,8 +152,8 @@ def _print_help() -> None:
         verbs.add_row(f"  {verb}", Text(summary_of(verb)))
     console.print(verbs)
     console.print(
-        "\n'lemma VERB --help' says more about each verb. --plugin my_module, or "
-        "my_file.py, registers tasks, arms or primitives of your own first."
+        "\n'lemma VERB --help' explains a verb. --plugin my_module, or my_file.py, "
+        "registers your own tasks, arms or primitives first."
     )
 
 
@@ -165,6 +165,6 @@ def _about_missing(error: ImportError) -> str:
             "python -m pip install --force-reinstall lemma-bench"
         )
     return (
-        f"This takes {error.name}, which comes with an extra: python -m pip install "
+        f"This needs {error.name}, which comes with an extra: python -m pip install "
         f"'lemma-bench[{extra}]', or '.[{extra}]' in a checkout."
     )

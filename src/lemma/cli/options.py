@@ -1,4 +1,4 @@
-"""Types of options, and consoles, that verbs share."""
+"""Types of options and consoles that several verbs use."""
 
 import codecs
 import io
@@ -17,13 +17,13 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.tables import Table
 from lemma.tasks.names import SUITES
 
-# The hint would repeat "(default: None)" where the help says what happens.
+# Without a hint: it would add "(default: None)" to a help text with the default.
 Flag = Annotated[
     bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")
 ]
-"""A switch that is off unless it is named."""
+"""A flag that is off by default."""
 JsonFlag = Annotated[Flag, tyro.conf.arg(name="json", help_behavior_hint="")]
-"""``--json``: one JSON document on the output, and nothing else."""
+"""``--json``: print only one JSON document on the standard output."""
 TaskNames = Annotated[
     tuple[str, ...],
     tyro.conf.Positional,
@@ -37,9 +37,9 @@ MaybeTask = Annotated[
     tyro.conf.Positional,
     tyro.conf.arg(metavar="[TASK]", help_behavior_hint=""),
 ]
-"""A task, where a file may say which."""
+"""A task, which a file may name instead."""
 Data = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")]
-"""A recipe or another data set, or an episode that was led by hand."""
+"""A recipe or another data set, or the file of a teleoperated episode."""
 Results = Annotated[
     tuple[Path, ...],
     tyro.conf.Positional,
@@ -70,23 +70,23 @@ Folder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint=
 def output() -> Console:
     """Return the console for results: the standard output.
 
-    Square brackets are text there, as in a path, and no markup.
+    Square brackets are printed as text, not read as markup.
     """
     return Console(markup=False, highlight=False, emoji=False)
 
 
 def messages() -> Console:
-    """Return the console for progress and complaints: the error stream."""
+    """Return the console for progress and messages: the error stream."""
     return Console(stderr=True, markup=False, highlight=False, emoji=False)
 
 
 def complain(text: str) -> None:
-    """Print an error message for people."""
+    """Print an error message on the error stream."""
     messages().print(text, style="bold red", soft_wrap=True)
 
 
 def print_json(document: Any) -> None:
-    """Print a document for programs."""
+    """Print a JSON document on the standard output."""
     is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"
     text = json.dumps(document, indent=2, ensure_ascii=not is_utf8)
     sys.stdout.write(f"{text}\n")
@@ -99,14 +99,14 @@ def print_table(
     labels: int = 1,
     bold: Container[int] = (),
 ) -> None:
-    """Print a table on the output.
+    """Print a table on the standard output.
 
     Args:
         header: Headings of the columns.
         rows: Cells, row by row.
-        title: Above the table, if any.
-        labels: Columns from the left that hold words, not numbers.
-        bold: Numbers of rows that stand out.
+        title: Title above the table; empty for none.
+        labels: Number of columns, from the left, that contain text instead of numbers.
+        bold: Indices of bold rows.
     """
     cells = tuple(tuple(map(str, row)) for row in rows)
     if title:
@@ -115,7 +115,7 @@ def print_table(
 
 
 def print_named(*lines: tuple[str, object], style: str = "") -> None:
-    """Print lines on the output, each with a name before it."""
+    """Print values on the standard output, one per line, each after its name."""
     for name, text in lines:
         output().print(f"{name:<11}{text}", style=style, soft_wrap=True)
 
@@ -123,12 +123,12 @@ def print_named(*lines: tuple[str, object], style: str = "") -> None:
 def print_figures(
     found: Mapping[str, float], forms: Mapping[str, tuple[str, ...]], title: str
 ) -> None:
-    """Print figures on the output, one a line.
+    """Print figures on the standard output, one per line.
 
     Args:
         found: The figures by name.
-        forms: Meaning and format of each, and what it should be, if anything.
-        title: Above the table.
+        forms: Meaning, format and, optionally, target of each figure.
+        title: Title above the table.
     """
     header = ("figure", "measured", "target")[: max(map(len, forms.values()))]
     rows = (
@@ -139,9 +139,9 @@ def print_figures(
 
 
 def prepare_streams() -> None:
-    """Let both streams print a question mark for letters that their locale lacks.
+    """Make both streams print a question mark for characters that their locale lacks.
 
-    A stream that the caller has closed prints nowhere.
+    Closed streams are replaced by ones without output.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -152,8 +152,8 @@ def prepare_streams() -> None:
 
 
 def _refuses_letters(stream: io.TextIOWrapper) -> bool:
-    # The locale "C" takes undecodable names of files ("surrogateescape") and nothing
-    # else beyond ASCII.
+    # Beyond ASCII, the locale "C" accepts only undecodable file names
+    # ("surrogateescape").
     is_utf8 = codecs.lookup(stream.encoding).name == "utf-8"
     return stream.errors == "strict" or (
         stream.errors == "surrogateescape" and not is_utf8
@@ -165,33 +165,33 @@ def words(listed: str, every: tuple[str, ...] | None = None) -> tuple[str, ...]:
 
     Args:
         listed: The list.
-        every: Words that ``all`` stands for; None where it stands for itself.
+        every: Words that replace ``all``; None to keep it.
 
     Raises:
-        InvalidConfigError: There is none.
+        InvalidConfigError: The list is empty.
     """
     if every is not None and listed.strip() == ALL:
         return every
     found = tuple(dict.fromkeys(w.strip() for w in listed.split(",") if w.strip()))
     if not found:
         raise InvalidConfigError(
-            f"{listed!r} names nothing. Separate names by commas: train,val."
+            f"{listed!r} contains no name. Separate names by commas: train,val."
         )
     return found
 
 
 def task_names(listed: str, suite: str) -> tuple[str, ...]:
-    """Return the tasks that options name: those listed, or all of a suite.
+    """Return the listed tasks, or all of a suite for ``all``.
 
     Raises:
         UnknownNameError: No such suite.
-        InvalidConfigError: Nothing is listed.
+        InvalidConfigError: The list is empty.
     """
     return words(listed, every=SUITES[known("suite", suite, SUITES)])
 
 
 def arguments(text: str) -> tuple[tuple[str, Any], ...]:
-    """Return names and values.
+    """Return names and values of ``NAME=VALUE,...``.
 
     Args:
         text: Text of the option.
@@ -204,7 +204,7 @@ def arguments(text: str) -> tuple[tuple[str, Any], ...]:
         name, equals, value = part.partition("=")
         if not equals or not name.isidentifier():
             raise InvalidConfigError(
-                f"{part!r} is no argument. Write NAME=VALUE,..., as in "
+                f"{part!r} is not an argument. Write NAME=VALUE,..., as in "
                 "--policy-args checkpoint=model.pt,chunk=8."
             )
         found.append((name, _value(value)))

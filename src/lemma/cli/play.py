@@ -1,4 +1,4 @@
-"""`lemma play`: a page in the browser with a table, robots, and a sentence."""
+"""`lemma play`: an interactive page in the browser with a table and robots."""
 
 import webbrowser
 from dataclasses import dataclass
@@ -27,15 +27,15 @@ class Listening:
     """Address of the page."""
 
     host: str = LOOPBACK
-    """Address to listen on; only this machine reaches the default."""
+    """Address to listen on; the default is reachable only from this machine."""
     port: int = 8080
-    """Port to listen on; the next one that is free if it is taken."""
+    """Port to listen on; if it is taken, the next free one."""
     no_open: Flag = False
-    """Open no browser."""
+    """Do not open a browser."""
     allow_host: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="HOST", help_behavior_hint="")
     ] = ()
-    """Hosts in the browser's address bar where a proxy passes the page on."""
+    """Host names in the browser's address bar, for a page behind a proxy."""
 
 
 _HERE = Listening()
@@ -53,20 +53,20 @@ def play(
     failures: Flag = False,
     at: Annotated[Listening, tyro.conf.arg(name="")] = _HERE,
 ) -> int:
-    """Open a page in the browser: say something, and watch robots do it.
+    """Open a page in the browser: give an instruction, and watch robots follow it.
 
     Args:
         task: Task to begin with, hook_stack by default; with --failures a folder of
             results.
-        index: Number of the instance; 0 by default.
-        split: Frozen list to take it from: train, val or test; or free, which samples
-            it. By default test, and free for tasks of your own.
-        instance: A JSON file with an instance of your own, to begin with.
+        index: Index of the instance; 0 by default.
+        split: Frozen list of the instance: train, val or test; or free, which samples
+            it. The default is test, and free for your own tasks.
+        instance: JSON file with your own instance, to begin with.
         policy: As in lemma evaluate; or 'oracle together', the expert with all robots
-            at once, the default for teams of three and four. For pairs it is reachnet
-            where torch is installed, else the expert, which reads the benchmark's
-            sentences alone.
-        say: A sentence of your own, which is acted on at once.
+            at once, which is the default for teams of three and four. The default for
+            pairs is reachnet if torch is installed, otherwise the expert, which
+            understands only the benchmark's sentences.
+        say: Your own sentence, which the policy follows at once.
         failures: List the failures in a folder of results, and play them beside the
             expert or another policy.
         at: Address of the page.
@@ -75,11 +75,11 @@ def play(
         Exit code: 0 after Ctrl-C.
     """
     if at.host not in (LOOPBACK, "localhost", "::1"):
-        _warn(f"Everybody who reaches {at.host} can use this page: it has no password.")
+        _warn(f"Anybody who reaches {at.host} can use this page: it has no password.")
     if failures:
         if (index, split, instance, say) != (None,) * 4:
             raise InvalidConfigError(
-                "--failures takes --policy, no instance and no sentence."
+                "--failures takes --policy, but no instance and no --say."
             )
         return _open(_failures(task, policy, at), at)
     from lemma.viewer.episode.session import Session, best_for, choices
@@ -106,15 +106,15 @@ def _failures(folder: str | None, policy: str | None, at: Listening) -> "Failure
     """Return the page of the failures in a folder.
 
     Raises:
-        InvalidConfigError: There is no folder, or nothing failed.
-        UnknownNameError: Nothing failed of that policy.
+        InvalidConfigError: No folder is named, or no episode failed.
+        UnknownNameError: No episode of that policy failed.
     """
     from lemma.viewer.failures import FailurePage, policies_of
     from lemma.viewer.replays import cases_in
 
     if folder is None:
         raise InvalidConfigError(
-            "--failures looks at results. Name their folder: lemma play runs/mine "
+            "--failures needs a folder of results, such as lemma play runs/mine "
             "--failures"
         )
     cases = cases_in(Path(folder))
@@ -131,7 +131,7 @@ def _warn(text: str) -> None:
 def _open(page: "Page | FailurePage", at: Listening) -> int:
     """Show a page until Ctrl-C."""
     try:
-        output().print(f"{page.address}   (Ctrl-C ends it)", soft_wrap=True)
+        output().print(f"{page.address}   (Ctrl-C to stop)", soft_wrap=True)
         if not at.no_open:
             webbrowser.open(page.address)
         page.run()

@@ -39,23 +39,22 @@ def pull(
 
     Args:
         repository: Repository of a dataset on the Hub.
-        out: Folder for the dataset; what is there already is not fetched again.
+        out: Folder for the dataset; existing files are not fetched again.
         split: Only these splits, separated by commas.
         revision: Branch, tag or commit; the main branch by default.
-        weights: Fetch published weights instead, all of them or those that are named,
-            in the revision that belongs to this version. Files that are here already
-            stay.
+        weights: Fetch published weights instead, all of them or the named ones, in the
+            revision for this version. Existing files are kept.
     """
     if weights is not None:
         if repository or out or split or revision:
             raise InvalidConfigError(
-                "--weights takes names of weights alone, such as lemma pull --weights "
-                "reachnet. A dataset is fetched by another command."
+                "--weights takes only names of weights, such as lemma pull --weights "
+                "reachnet. Fetch a dataset with another command."
             )
         return _pull_weights(weights)
     if repository is None or out is None:
         raise InvalidConfigError(
-            "Say what to fetch: lemma pull OWNER/NAME OUT, a dataset; or lemma pull "
+            "Name a dataset, lemma pull OWNER/NAME OUT; or weights, lemma pull "
             "--weights [NAME ...]."
         )
     messages().print(f"Fetching {repository} ...")
@@ -66,7 +65,7 @@ def pull(
 
 
 def _pull_weights(names: tuple[str, ...]) -> int:
-    # torch is an extra, which datasets do without.
+    # Import late: torch is optional, and datasets do not need it.
     from lemma.policies.weights import find_published, published_weights
 
     for name in names or published_weights():

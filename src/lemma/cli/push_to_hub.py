@@ -16,8 +16,8 @@ def push_to_hub(data: Data, repository: Repository, private: Flag = False) -> in
 
     Args:
         data: Folder of the dataset.
-        repository: Repository on the Hub; made if there is none.
-        private: Make it private, if it is made.
+        repository: Repository on the Hub; created if it is missing.
+        private: Create it as a private repository.
     """
     messages().print(f"Uploading {data} to {repository} ...")
     address = push(data, repository, private=private)

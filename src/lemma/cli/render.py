@@ -1,4 +1,4 @@
-"""`lemma render`: images, or a LeRobotDataset, from a recipe."""
+"""`lemma render`: images or a LeRobotDataset from a recipe."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -33,19 +33,19 @@ from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS
 
 _AT_INTERRUPT = (
-    "{done} of {total} episodes are made. The same command goes on from there."
+    "{done} of {total} episodes are saved. The same command continues from there."
 )
 
 FormName = Literal["keyframes", "key-poses", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
-"""Writes what is missing; the arguments are an engine and a listener for progress."""
+"""Writes missing episodes; the arguments are an engine and a callback for progress."""
 _SIZES = {"keyframes": "640x480", "key-poses": "640x480", "lerobot": "224x224"}
 _ROWS = {"keyframes": "keyframes", "key-poses": "keyframes", "lerobot": "frames"}
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """Episodes and look."""
+    """Selection of episodes, and options of the images."""
 
     tasks: Listed = ALL
     """Names of tasks, separated by commas."""
@@ -56,37 +56,37 @@ class RenderOptions:
     fps: int = 10
     """LeRobotDataset: frames per simulated second, such as 10 or 20."""
     no_depth: Flag = False
-    """LeRobotDataset: leave depth out."""
+    """LeRobotDataset: leave out depth."""
     cameras: Annotated[str, tyro.conf.arg(metavar="CAMERA,...")] = ""
     """LeRobotDataset: cameras, such as robot_0,robot_1,robot_0_wrist or overview; by
     default those that environments observe at control level."""
     instructions: Listed = "high-level"
-    """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; for
-    each of them there is an episode of which it is the task."""
+    """LeRobotDataset: kinds of instructions, high-level, human, unseen, or all; each
+    kind adds a copy of the episode with that instruction as its task."""
     no_images: Flag = False
-    """LeRobotDataset: leave all pictures out."""
+    """LeRobotDataset: leave out all images."""
     environment_state: EnvironmentState = "none"
-    """LeRobotDataset: what observation.environment_state is, for policies that read no
-    text, such as ACT and Diffusion Policy. sentence: the task as numbers; privileged:
-    the truth, poses and goal, for oracles."""
+    """LeRobotDataset: content of observation.environment_state, for policies without
+    text input, such as ACT and Diffusion Policy. sentence: the instruction as numbers;
+    privileged: the true poses and goal, for oracles."""
     control: MotorControl = "joint_position"
     """LeRobotDataset: control mode of actions and state: joint_position, or
     ee_waypoint_rot6d, the targets of the tool centre points."""
     missed: float = 0.0
-    """Key poses: share of places that are missed by some centimetres, so that there
-    are frames that show how to go on."""
+    """Key poses: share of placements that are missed by some centimetres, which adds
+    frames of recovery."""
     renderer: str = "auto"
-    """LeRobotDataset: opengl or warp; auto chooses warp where MuJoCo Warp is installed
-    and finds a GPU."""
+    """LeRobotDataset: opengl or warp; auto chooses warp if MuJoCo Warp is installed and
+    finds a GPU."""
 
 
 EVERYTHING = RenderOptions()
-"""All episodes, at the usual size and rate."""
+"""All episodes with default options."""
 _FILMED = (
     *("fps", "no_depth", "cameras", "instructions", "no_images"),
     *("environment_state", "control", "renderer"),
 )
-"""Options of LeRobotDatasets alone."""
+"""Options for LeRobotDatasets only."""
 
 
 def render(
@@ -97,20 +97,20 @@ def render(
     working: WorkerOptions = DEFAULT,
     as_json: JsonFlag = False,
 ) -> int:
-    """Make images, or a LeRobotDataset, from a recipe.
+    """Make images or a LeRobotDataset from a recipe.
 
-    Files that exist are kept, so the same command continues an interrupted run.
+    Existing files are kept, so the same command continues an interrupted run.
 
     Args:
-        data: The recipe: what lemma generate wrote. With --form lerobot also an episode
+        data: The recipe that lemma generate wrote. With --form lerobot also an episode
             that was led by hand on the page of lemma play, or a folder of such files.
-        out: Folder of what is made.
+        out: Folder for the output.
         form: keyframes: images and labels before every sub-task, for planners;
-            lerobot: LeRobotDataset v3.0, states, commands and videos at a rate, for
-            which the lerobot package is needed.
+            key-poses: frames at key poses; lerobot: LeRobotDataset v3.0 with states,
+            commands and videos at a rate, which needs the package lerobot.
         look: Selection of episodes, and options of the images.
         working: Options of the workers.
-        as_json: Print one JSON object instead of words.
+        as_json: Print one JSON object instead of text.
     """
     tasks, splits = words(look.tasks, every=()), words(look.splits, every=())
     order = RenderConfig(recipe=data, out=out, tasks=tasks, splits=splits)
@@ -129,27 +129,25 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
     """Return the function that writes the form.
 
     Raises:
-        InvalidConfigError: Size or rate is impossible, or an option is of another form.
-        RenderingError: The renderer that was asked for is not installed.
+        InvalidConfigError: Size or rate is invalid, or an option is for another form.
+        RenderingError: The chosen renderer is not installed.
         UnknownNameError: No such kind of instructions.
     """
     width, height = parse_size(look.size or _SIZES[name])
     if name != "lerobot" and files_in(order.recipe):
         raise InvalidConfigError(
-            "Episodes led by hand have no keyframes, which lie between sub-tasks. Film "
-            "all of it: --form lerobot."
+            "Episodes led by hand have no keyframes, since keyframes are between "
+            "sub-tasks. Use --form lerobot."
         )
     if look.missed and name != "key-poses":
-        raise InvalidConfigError(
-            "--missed is for --form key-poses alone. Leave it out."
-        )
+        raise InvalidConfigError("--missed is only for --form key-poses. Leave it out.")
     if name != "lerobot":
         for field in _FILMED:
             if getattr(look, field) != getattr(EVERYTHING, field):
                 raise InvalidConfigError(
                     f"--{field.replace('_', '-')} is for --form lerobot; keyframes "
-                    "have no rate, are drawn by OpenGL, and always hold depth, each "
-                    "robot's camera and every instruction. Leave it out."
+                    "have no rate, are rendered with OpenGL, and always contain depth, "
+                    "each robot's camera and every instruction. Leave it out."
                 )
         if name == "key-poses":
             form = KeyPoseForm(width, height, missed=look.missed)
@@ -171,16 +169,16 @@ def choose_form(name: FormName, order: RenderConfig, look: RenderOptions) -> Mak
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Return width and height of what a user typed, such as ``"640x480"``.
+    """Return width and height [px] from text such as ``"640x480"``.
 
     Raises:
-        InvalidConfigError: It is no size.
+        InvalidConfigError: The text is not a size.
     """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise InvalidConfigError(
-            f"--size {text} is no size. Write width and height with an x between "
-            "them, in pixels: 640x480."
+            f"--size {text} is not a size. Write width and height in pixels with an x "
+            "between them: 640x480."
         )
     return int(width), int(height)
 

@@ -1,4 +1,4 @@
-"""`lemma replay`: play episodes again, and compare their states to the bit."""
+"""`lemma replay`: play episodes again, and compare their states bit by bit."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -25,8 +25,8 @@ from lemma.dataset.teleoperation import Teleoperation, is_same, is_teleoperated,
 from lemma.env.episode import Episode
 
 _AT_INTERRUPT = (
-    "{done} of {total} episodes were compared; nothing was changed, and what was "
-    "found is not kept."
+    "{done} of {total} episodes were compared; the comparison is not saved, and no "
+    "file was changed."
 )
 _SHOWN = 20
 _IN_A_PAGE = 8
@@ -46,30 +46,30 @@ def replay(
     validate: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Play a recipe again, and say where its states cannot be reproduced.
+    """Play a recipe again, and report states that are not reproduced.
 
     It also plays an episode that was led by hand on the page of lemma play. With
-    --browser, it writes a page to look at episodes: of a recipe, led by hand, or of
-    a result of lemma evaluate, there beside the expert's solution.
+    --browser, it writes a page with interactive replays: of a recipe, of an episode
+    led by hand, or of a result of lemma evaluate beside the expert's solution.
 
     Args:
         data: Folder of the recipe, or file of an episode that was led by hand.
         task: Only the episodes of this task.
         split: Only the episodes of this split.
-        limit: Only the first so many of those; with --browser 8 by default.
+        limit: Largest number of episodes; with --browser 8 by default.
         working: Options of the workers.
         browser: Folder for a page that needs neither a server nor a network, and a
             .viser file of each episode.
         validate: No effect: every replay validates.
-        as_json: Print one JSON object instead of words.
+        as_json: Print one JSON object instead of text.
     """
     if limit is not None and limit < 1:
         raise InvalidConfigError(f"--limit is 1 or more, not {limit}.")
     by_hand = is_teleoperated(data)
     if by_hand and (task, split, limit) != (None, None, None):
         raise InvalidConfigError(
-            f"{data} is one episode that was led by hand: leave --task, --split and "
-            "--limit out."
+            f"{data} is a single episode that was led by hand. Leave out --task, "
+            "--split and --limit."
         )
     if browser is not None:
         return _show(data, browser, task, split, limit or _IN_A_PAGE)
@@ -106,7 +106,7 @@ def _again(file: Path, *, as_json: bool) -> int:
     """Play an episode again that was led by hand.
 
     Raises:
-        InvalidConfigError: A step is impossible.
+        InvalidConfigError: A step cannot be executed.
     """
     done = Teleoperation.load(file)
     start = perf_counter()
@@ -122,7 +122,7 @@ def _again(file: Path, *, as_json: bool) -> int:
             style="green",
         )
     else:
-        output().print("It comes to another state.", style="bold red")
+        output().print("The final state differs.", style="bold red")
         output().print(_WHY)
     return 0 if same else 1
 
@@ -130,17 +130,17 @@ def _again(file: Path, *, as_json: bool) -> int:
 def choose(
     recipe: Recipe, task: str | None, split: str | None, limit: int | None = None
 ) -> Recipe:
-    """Return the episodes that a user asked for.
+    """Return a recipe with the selected episodes.
 
     Raises:
-        InvalidConfigError: There are none.
+        InvalidConfigError: No episode is selected.
     """
     chosen = recipe.select(task=task, split=split)[:limit]
     if not len(chosen):
         raise InvalidConfigError(
             f"{recipe.folder} has no episodes of task {task or 'any'} and split "
             f"{split or 'any'}. 'lemma inspect "
-            f"{quote(str(recipe.folder))}' says what it has."
+            f"{quote(str(recipe.folder))}' lists its content."
         )
     return chosen
 

@@ -1,4 +1,4 @@
-"""`lemma report`: results as tables, figures and failures, in one page."""
+"""`lemma report`: a page with tables, figures and failures of results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,28 +27,30 @@ from lemma.viz.pages.report_figures import FIGURES, figures_of, write_figures
 from lemma.viz.pages.report_pictures import Pictures, picture_all
 
 MOST_MB = 16.0
-"""All pictures of a page [MB]. In it they take a third more, and episodes some MB."""
+"""Largest size of all pictures of a page [MB]. Their encoding adds a third, and the
+data of episodes some MB."""
 VIDEOS = "videos"
 REPLAYS = "replays"
 _AT_INTERRUPT = (
-    "no page was written, and pictures are not kept. '--failures 0' needs no pictures."
+    "no page was written, and pictures are not saved. '--failures 0' draws none."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """Which failures are shown in pictures."""
+    """Selection of the failures with pictures."""
 
     failures: Annotated[int, tyro.conf.arg(metavar="N")] = 20
-    """Failed episodes per policy that get pictures; 0 for none."""
+    """Number of failed episodes per policy with pictures; 0 for none."""
     episode: Word = None
-    """Only this one of each policy: KIND/TASK/NUMBER, such as unseen/stack/12."""
+    """Only this episode of each policy: KIND/TASK/NUMBER, such as unseen/stack/12."""
     videos: Flag = False
-    """Also a video of each episode that gets pictures; some seconds for each."""
+    """Add a video of each episode with pictures, which takes some seconds each."""
     no_replays: Flag = False
-    """No replays of those episodes, which the extra play makes; they need no OpenGL."""
+    """Leave out interactive replays of these episodes, which need the extra play but no
+    OpenGL."""
     workers: Number = None
-    """Processes that draw; one per core by default."""
+    """Number of rendering processes; one per core by default."""
 
 
 _DEFAULT = ReportOptions()
@@ -62,37 +64,35 @@ def report(
 ) -> int:
     """Write results as a page with tables, figures and failures, and as Markdown.
 
-    The paper's four tables with its figures below ours, unseen templates, ablations,
-    causes of failure and how exact poses are; made from the summaries alone. Where the
-    lines of the episodes are at hand, failed episodes are done again from them, which
-    needs no policy, and drawn.
+    The tables need only the summaries: the paper's four tables with its numbers below
+    ours, unseen templates, ablations, causes of failure and errors of poses. If there
+    are lines of episodes, failed episodes are played again from them, without their
+    policy, and drawn.
 
     Args:
         results: Results of lemma evaluate or lemma reproduce: files, or folders that
-            hold some at any depth.
-        out: Folder of the page index.html, of results.md and of the figures.
-        complete: Also name the experiments that were not run.
-        wishes: Which failures are shown in pictures.
+            contain some at any depth.
+        out: Folder for the page index.html, for results.md and the figures.
+        complete: Also list the experiments that were not run.
+        wishes: Selection of the failures with pictures.
     """
     if wishes.failures < 0:
-        raise InvalidConfigError(
-            f"--failures is 0 or more per policy, not {wishes.failures}."
-        )
+        raise InvalidConfigError(f"--failures is at least 0, not {wishes.failures}.")
     if not (results or complete):
         raise InvalidConfigError("Name a result, such as results/reachnet/seed-0.json.")
     read = read_results(results)
     if not read and not complete:
         named = ", ".join(map(str, results))
         raise DatasetError(
-            f"There are no results in {named}. Name what 'lemma evaluate' or 'lemma "
-            "reproduce' wrote; what was not finished has no result yet."
+            f"There are no results in {named}. Name the output of 'lemma evaluate' or "
+            "'lemma reproduce'; an unfinished run has no result yet."
         )
     entries = entries_of(read, complete=complete)
     cases, uncounted = cases_of(entries, results)
     for file in uncounted:
         complain(
-            f"The lines in {file} are of no result that is reported: run 'lemma "
-            "evaluate' to its end, which counts them."
+            f"The lines in {file} belong to no reported result. Run 'lemma evaluate' "
+            "to its end, which counts them."
         )
     found = _findings(cases, wishes, out)
     write_text(out / REPORT, page(entries))
@@ -106,23 +106,23 @@ def report(
     differing = sum(bool(one.differs) for one in found.pictures.values())
     if differing:
         complain(
-            f"{differing} of {len(found.pictures)} episodes went differently when they "
-            "were done again: they are of other versions or another kind of machine."
+            f"{differing} of {len(found.pictures)} episodes differ from their replays: "
+            "they are from other versions or another kind of machine."
         )
     return 0
 
 
 def print_written(path: Path, entries: list[PolicyResults]) -> None:
-    """Say where the tables are, and of how many policies they have results."""
+    """Print the path of the tables and their number of policies."""
     count = sum(bool(entry.results) for entry in entries)
     output().print(f"Policies with results: {count}. Tables: {path}", soft_wrap=True)
 
 
 def choose(cases: Sequence[Case], wishes: ReportOptions) -> list[tuple[int, Case]]:
-    """Return number and episode of those that get pictures.
+    """Return index and episode of the cases with pictures.
 
     Raises:
-        InvalidConfigError: An episode was named that is not there or did not fail.
+        InvalidConfigError: The named episode is missing or did not fail.
     """
     if wishes.episode is not None:
         name = wishes.episode.replace("-", "_")
@@ -130,8 +130,8 @@ def choose(cases: Sequence[Case], wishes: ReportOptions) -> list[tuple[int, Case
         if not chosen:
             raise InvalidConfigError(
                 f"No episode {wishes.episode} failed in these results. Episodes are "
-                "named KIND/TASK/NUMBER, such as high_level/stack/12, and their lines "
-                "must be there."
+                "named KIND/TASK/NUMBER, such as high_level/stack/12. Their lines must "
+                "be in the folder of the result."
             )
     else:
         groups: dict[str, list[Case]] = {}
@@ -166,7 +166,7 @@ def _findings(cases: Sequence[Case], wishes: ReportOptions, out: Path) -> Findin
 def _replays(
     chosen: list[tuple[int, Case]], wishes: ReportOptions, out: Path
 ) -> dict[int, str]:
-    """Write replays of episodes; return their files, below the report's folder."""
+    """Write replays of episodes; return file names relative to the report's folder."""
     if wishes.no_replays or not (find_spec("viser") and find_spec("trimesh")):
         return {}
     from lemma.viewer.replays import write_cases
@@ -178,7 +178,12 @@ def _replays(
 
 
 def within(drawn: dict[int, Pictures], most_bytes: float) -> dict[int, Pictures]:
-    """Return pictures, thinned out evenly if they are too many for a page."""
+    """Return pictures up to a total size; drop episodes evenly beyond it.
+
+    Args:
+        drawn: The pictures, by number of the episode.
+        most_bytes: Largest total size [bytes].
+    """
     numbers = sorted(drawn)
     total = sum(one.size for one in drawn.values())
     room = min(len(numbers), int(len(numbers) * most_bytes / max(total, 1)))
@@ -190,6 +195,7 @@ def _left_out(failed: int, pictured: int) -> str:
     if failed == pictured:
         return ""
     return (
-        f"{pictured} of {failed} failed episodes have pictures; left out: "
-        f"{failed - pictured}. 'lemma report --failures N' draws up to N per policy."
+        f"{pictured} of {failed} failed episodes have pictures, "
+        f"{failed - pictured} have none. 'lemma report --failures N' draws up to N per "
+        "policy."
     )

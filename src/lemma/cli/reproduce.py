@@ -1,4 +1,4 @@
-"""`lemma reproduce`: the experiments of the tables, from the weights that ship."""
+"""`lemma reproduce`: the experiments of the tables, with the published weights."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,8 +23,8 @@ from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.evaluation.report.sections import REPORT, page
 
 _AT_INTERRUPT = (
-    "{done} of {total} episodes of this experiment are kept. The same command goes on "
-    "from there."
+    "{done} of {total} episodes of this experiment are saved. The same command "
+    "continues from there."
 )
 
 
@@ -40,8 +40,8 @@ def reproduce(
 ) -> int:
     """Evaluate every row of the tables, and write the tables.
 
-    Finished episodes are kept, so the same command goes on where it was stopped.
-    Rows whose weights are not there are skipped, and named at the end.
+    Finished episodes are saved, so the same command continues an interrupted run.
+    Rows with missing weights are skipped, and listed at the end.
 
     Args:
         name: paper, ours, controls, ablations; all, which leaves out the ablations;
@@ -49,15 +49,14 @@ def reproduce(
         out: Folder of all results: one folder per experiment, one file per training
             seed.
         weights: Folder with one training run for each name of weights; by default
-            those that ship.
+            the published ones.
         check: Write nothing: play the first episode of each task and kind, or
-            --episodes of them, and say whether they are equal to the published lines
-            in --out.
+            --episodes of them, and compare them with the published lines in --out.
         split: Frozen list of instances.
-        episodes: Only the first so many of every task; for trying.
+        episodes: Number of episodes of every task, from the first; for trials.
         working: Options of the workers.
-        print_commands: Print how the weights of all seeds are trained and evaluated,
-            and do nothing.
+        print_commands: Only print the commands that train and evaluate the weights of
+            all seeds.
     """
     experiments = selected(name)
     if check:
@@ -90,7 +89,7 @@ def _check(
     episodes: int,
     working: WorkerOptions,
 ) -> int:
-    """Say whether policies still decide as published; leave with 1 if one does not."""
+    """Compare policies with their published lines; return 1 if one differs."""
     failed = 0
     for experiment in experiments:
         name = experiment.name

@@ -1,4 +1,4 @@
-"""`lemma schedule`: who does what when, in the least time, as a Gantt chart of text."""
+"""`lemma schedule`: the schedule of least makespan as a Gantt chart in text."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 
 _WIDTH = 64
-"""Columns of the chart."""
+"""Width of the chart [characters]."""
 _SIGNS = "0123456789abcdefghijklmnopqrstuvwxyz"
 
 
@@ -32,14 +32,14 @@ def schedule(
     export: Folder = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Print the schedule of least makespan of an instance: who does what when.
+    """Print the schedule of least makespan of an instance.
 
     Args:
         task: Name of the task, unless the instance is in a file.
-        which: Which instance.
-        export: Folder for domain.pddl and problem.pddl, the instance as a temporal
-            planning problem, and instance.json; nothing is scheduled then.
-        as_json: Print a JSON object instead.
+        which: Selection of the instance.
+        export: Instead of scheduling, write the instance as a temporal planning problem
+            to this folder: domain.pddl, problem.pddl and instance.json.
+        as_json: Print one JSON object instead of a chart.
     """
     instance = select_instance(task, which)
     if export is not None:
@@ -73,10 +73,10 @@ def schedule(
 
 
 def write_export(instance: Instance, folder: Path) -> tuple[Path, ...]:
-    """Write an instance for planners of others; return the files.
+    """Write an instance in PDDL for external planners; return the files.
 
     Raises:
-        InvalidConfigError: It cannot be told in PDDL.
+        InvalidConfigError: PDDL cannot express it.
     """
     name = instance.key.replace("/", "-")
     scene, grounder = (
@@ -97,8 +97,8 @@ def write_export(instance: Instance, folder: Path) -> tuple[Path, ...]:
 def gantt(found: Schedule, robots: tuple[str, ...]) -> list[str]:
     """Return a line of text for each robot, and one with the time below.
 
-    A sub-task is its sign until it has had its effect, then dashes until its robot is
-    home; dots are a free robot.
+    A sub-task is drawn as its sign until its effect, then as dashes until its robot is
+    home. Dots mean a free robot.
 
     Args:
         found: The schedule.

@@ -1,4 +1,4 @@
-"""Which instance a verb works on: frozen by split and index, or sampled by seed."""
+"""Selection of an instance: frozen, by split and index, or sampled by seed."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,19 +18,19 @@ from lemma.tasks.teams.layouts import LAYOUTS
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which instance of the task."""
+    """Selection of an instance of a task."""
 
     split: Word = None
-    """Frozen list to take it from: train, val or test; or free, which samples it. By
-    default test, and free for tasks of your own."""
+    """Frozen list of the instance: train, val or test; or free, which samples it. The
+    default is test, and free for your own tasks."""
     index: Number = None
-    """Number in that list, or the seed; 0 by default."""
+    """Index in that list, or seed of split free; 0 by default."""
     seed: Number = None
-    """Sample a new instance with this seed, instead of a frozen one."""
+    """Sample a new instance with this seed instead of a frozen one."""
     robots: Team = None
-    """Sample a new instance with these arms from left to right, as in ur5,ur10."""
+    """Sample a new instance with these arms from left to right, such as ur5,ur10."""
     instance: File = None
-    """An instance of your own: a JSON file that lemma play saved, or Python's
+    """JSON file with your own instance, saved by lemma play or with Python's
     Instance.to_json()."""
 
 
@@ -42,16 +42,16 @@ SelectionOptions = Annotated[Selection, tyro.conf.arg(name="")]
 
 
 def select_instance(task: str | None, wish: Selection) -> Instance:
-    """Return the instance that a user asked for.
+    """Return the selected instance.
 
     Args:
-        task: Name of the task; None if the file says it.
-        wish: Which one.
+        task: Name of the task; None if the file names it.
+        wish: The selection.
 
     Raises:
         UnknownNameError: No such task, split or arm type.
-        InvalidConfigError: The index is out of range, the file holds no instance, or
-            the wishes contradict.
+        InvalidConfigError: The index is out of range, the file contains no instance, or
+            options contradict each other.
     """
     if wish.instance is not None:
         return read_instance(wish.instance, task, wish)
@@ -64,7 +64,7 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
         return load_instance(task, split, wish.index or 0)
     if wish.index is not None or wish.split not in (None, FREE_SPLIT):
         raise InvalidConfigError(
-            "--split and --index name a frozen instance, --seed and --robots sample "
+            "--split and --index select a frozen instance, --seed and --robots sample "
             "a new one. Use either the first two or the last two."
         )
     seed = whole("seed", wish.seed or 0, 0, LARGEST_INDEX)
@@ -75,17 +75,17 @@ def select_instance(task: str | None, wish: Selection) -> Instance:
 
 
 def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> Instance:
-    """Return an instance of somebody's own.
+    """Return a user-defined instance.
 
     Args:
         path: The JSON file.
-        task: Required task of the instance; any if None.
-        wish: Other options that select the instance.
+        task: Required task of the instance; None for any.
+        wish: Other options that select an instance, which must have their defaults.
 
     Raises:
-        UnknownNameError: It names a task or a thing that does not exist.
-        InvalidConfigError: It holds no instance, is of another task, or more was asked
-            for than it.
+        UnknownNameError: The file names a task, robot or object that does not exist.
+        InvalidConfigError: The file contains no instance or one of another task, or
+            other options are used besides it.
     """
     found = Instance.load(path)
     TASKS[found.task]
@@ -96,22 +96,22 @@ def read_instance(path: Path, task: str | None, wish: Selection = DEFAULT) -> In
     others = ("split", "index", "seed", "robots")
     if any(getattr(wish, name) is not None for name in others):
         raise InvalidConfigError(
-            "--instance names a file, which says all of it. Use it without --split, "
+            "--instance names a file with the whole instance. Use it without --split, "
             "--index, --seed and --robots."
         )
     return found
 
 
 def parse_team(robots: str, size: int) -> tuple[str, ...]:
-    """Return the arm types of a team that a user typed, such as ``"ur5,ur10"``.
+    """Return the arm types of a team from text such as ``"ur5,ur10"``.
 
     Args:
-        robots: The words.
-        size: How many robots the task has.
+        robots: The text.
+        size: Number of robots of the task.
 
     Raises:
         UnknownNameError: No such arm type.
-        InvalidConfigError: Not as many of them.
+        InvalidConfigError: The number of arm types is not ``size``.
     """
     names = [name.strip() for name in robots.split(",")]
     for name in names:

@@ -1,4 +1,4 @@
-"""`lemma serve`: a policy behind a socket; or one question whose answer is known."""
+"""`lemma serve`: a server for a policy, or a test of a server."""
 
 from typing import Annotated, Literal
 
@@ -31,30 +31,31 @@ def serve(
     ] = None,
     as_json: JsonFlag = False,
 ) -> int:
-    """Answer for a policy over a socket, until Ctrl-C; or test a server with --check.
+    """Serve a policy over a socket until Ctrl-C; or test a server with --check.
 
     Args:
         policy: A model; PLANNER+GROUNDER; or package.module:Class.
-        host: Address to listen at. There is no password: keep it at this machine.
-        port: Port to listen at; 0 for any that is free.
-        planning: Look before every sub-task, or plan from the first image alone.
+        host: Address to listen on, by default only for this machine: no password.
+        port: Port to listen on; 0 for any free one.
+        planning: single-step: observe before every sub-task; multi-step: plan all
+            sub-tasks from the first observation.
         policy_args: Arguments of a class; or, with --check, the environment of
             a model server.
-        protocol: Ours, or that of vla-eval, for motor commands alone.
-        check: Ask this server for one decision whose right answer is known.
+        protocol: lemma; or vla-eval, only for motor commands.
+        check: Address of a server; compare one decision of it with the known answer.
         as_json: With --check, print one JSON object.
 
     Returns:
-        Exit code: 1 if the known question was answered wrong.
+        Exit code: 1 if the answer of the checked server is wrong.
     """
-    # Imported here, so that help does not wait for it.
+    # Import late, so that help is fast.
     from lemma.evaluation.run.loading import weights_of
     from lemma.policies.spec import ORACLE, PolicySpec
     from lemma.serve.server import serve as run
 
     if (policy is None) == (check is None):
         raise InvalidConfigError(
-            "Give either --policy, to serve it, or --check with the address of a "
+            "Use either --policy, to serve it, or --check with the address of a "
             "server, to test it."
         )
     if check is not None:
@@ -62,8 +63,8 @@ def serve(
     spec = PolicySpec(str(policy), planning, arguments=arguments(policy_args))
     if ORACLE in spec.parts:
         raise InvalidConfigError(
-            "The oracle cannot be served: it needs the simulation's state, which is "
-            "sent to no other process. Serve the other part, and evaluate --policy "
+            "The oracle cannot be served: it needs the simulation's state, which no "
+            "other process gets. Serve the other part, and evaluate --policy "
             "http://HOST:PORT+oracle."
         )
     scheme = "http" if protocol == "lemma" else protocol
@@ -76,8 +77,8 @@ def serve(
         protocol=protocol,
         on_ready=lambda url: _announce(url.replace("http", scheme)),
     )
-    # It returns at Ctrl-C alone.
-    raise KeyboardInterrupt("Interrupted: nobody is answered any more.")
+    # `run` returns only after Ctrl-C.
+    raise KeyboardInterrupt("Interrupted: the server has stopped.")
 
 
 def _announce(url: str) -> None:
@@ -102,5 +103,5 @@ def _check(url: str, policy_args: str, as_json: Flag) -> int:
     ]
     console.print("\n".join(lines), markup=False, soft_wrap=True)
     if found.ok:
-        console.print("Nothing is wrong with it.", style="green")
+        console.print("All answers are correct.", style="green")
     return 0 if found.ok else 1

@@ -18,7 +18,7 @@ def show(
 
     Args:
         task: Name of the task, unless the instance is in a file.
-        which: Which instance.
+        which: Selection of the instance.
         out: The picture (.png, .jpg or .webp); out/show/TASK-SPLIT-INDEX.png by
             default.
     """

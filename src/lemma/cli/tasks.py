@@ -1,4 +1,4 @@
-"""`lemma tasks`: the suite, and what plugins add to it, as a table."""
+"""`lemma tasks`: a table of the tasks of a suite and of plugins."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from lemma.scene.objects.entity import STICK
 from lemma.tasks.suite import LISTED, SUITES, TASKS, default_split, load_instance
 
 _HEADER = (
-    *("task", "what happens, and how it is asked for"),
+    *("task", "summary and instruction"),
     *("sub-\ntasks", "objects", "distractors", "stick"),
 )
 
@@ -16,7 +16,8 @@ def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
     """List the tasks of a suite, and those of plugins.
 
     Args:
-        suite: lemma has the eight of the paper; ladder has easier ones below them.
+        suite: lemma: the eight tasks of the paper; ladder: easier tasks; teams: tasks
+            for three and four robots.
         as_json: Print a JSON list instead of a table.
     """
     names = (*SUITES[suite], *(name for name in TASKS if name not in LISTED))
@@ -39,9 +40,9 @@ def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
 
 
 def describe(name: str) -> dict[str, Any]:
-    """Return what is known of a task, ready for JSON."""
+    """Return the properties of a task, ready for JSON."""
     task = TASKS[name]
-    # How many objects a goal needs is the same in every instance of a task.
+    # All instances of a task need the same number of objects.
     example = load_instance(name, default_split(name, "test"), 0)
     needed = len(example.scene.objects) - len(example.distractors)
     return {

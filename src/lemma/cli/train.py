@@ -1,4 +1,4 @@
-"""`lemma train`: a model, on rendered keyframes."""
+"""`lemma train`: training of a model on rendered keyframes."""
 
 from dataclasses import asdict
 from typing import Annotated
@@ -23,21 +23,21 @@ def train(
     restart: Flag = False,
     as_json: JsonFlag = False,
 ) -> int:
-    """Train a model, or continue a run that was stopped.
+    """Train a model, or continue an interrupted run.
 
-    The best weights by validation, the configuration, logs for TensorBoard and a
-    report are written to the folder of the run. The same command continues after
-    Ctrl-C or a crash, with the same outcome.
+    The folder of the run gets the best weights by validation, the configuration, logs
+    for TensorBoard and a report. The same command continues after Ctrl-C or a crash,
+    with the same result.
 
     Args:
         config: Options of the training run.
-        restart: Start again from the beginning, even if the folder has a run.
+        restart: Start from the beginning, even if the folder has a run.
         as_json: Print the report as JSON.
 
     Returns:
         Exit code: 130 if it was interrupted.
     """
-    # It imports torch, which is an extra.
+    # Import late: torch is optional.
     from lemma.policies.training import loop
 
     report = loop.train(config, restart=restart)
@@ -46,8 +46,8 @@ def train(
         print_json(asdict(report))
     elif interrupted:
         messages().print(
-            f"Interrupted after {report.steps} steps, which are kept. The same command "
-            "goes on from there.",
+            f"Interrupted after {report.steps} steps, which are saved. The same "
+            "command continues from there.",
             soft_wrap=True,
         )
     else:

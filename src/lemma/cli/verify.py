@@ -1,4 +1,4 @@
-"""`lemma verify`: the decisions of a result played again, without its policy."""
+"""`lemma verify`: replay of a result's decisions without its policy."""
 
 from typing import Annotated
 
@@ -9,7 +9,7 @@ from lemma.cli.options import JsonFlag, Number, Results, output, print_json
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 
-_AT_INTERRUPT = "{done} episodes were played again; nothing is kept."
+_AT_INTERRUPT = "{done} episodes were played again; nothing is saved."
 
 
 def verify(
@@ -27,14 +27,14 @@ def verify(
 
     Args:
         results: Results of lemma evaluate or lemma reproduce, with their lines: files,
-            or folders that hold some at any depth.
+            or folders that contain some at any depth.
         episodes: Number of episodes of each task and kind of instruction, drawn at
             random; all by default.
         seed: Seed of the random draw of episodes.
         working: Options of the workers.
         as_json: Print one JSON object instead of text.
     """
-    # Imported here, so that help does not wait for it.
+    # Import late, so that help is fast.
     from lemma.evaluation.verification import copies, results_in
     from lemma.evaluation.verification import verify as run
 
@@ -56,10 +56,10 @@ def verify(
         text = Text("stands" if one.ok else "REFUSED", "green" if one.ok else "red")
         text.append(f"  {one.lines}", "default")
         if one.played:
-            extent = "the whole test split" if one.complete else "no whole test split"
+            extent = "the whole test split" if one.complete else "part of a split"
             text.append(f": {one.played:,} of its {one.episodes:,} episodes ({extent})")
         if one.knows_truth:
-            text.append(", with a policy that knows the truth")
+            text.append(", with a policy that uses privileged state")
         for problem in one.problems:
             text.append(f"\n  {problem}")
         output().print(text, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Options for worker processes, and the progress bar of verbs with many episodes."""
+"""Options of worker processes, and the progress bar of verbs with many episodes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,9 +31,9 @@ class Workers:
     """Options of the workers."""
 
     workers: Number = None
-    """Processes on this machine; one per core by default."""
+    """Number of processes on this machine; one per core by default."""
     engine: Literal["processes", "ray"] = "processes"
-    """Processes of this machine, or a Ray cluster that shares the folder."""
+    """processes: on this machine; ray: a Ray cluster with access to the folder."""
     ray_address: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "auto"
     """Address of the Ray cluster."""
 
@@ -41,8 +41,8 @@ class Workers:
         """Return the engine.
 
         Raises:
-            InvalidConfigError: The number of processes is below one, or beside Ray.
-            WorkerError: There is no Ray, or no cluster.
+            InvalidConfigError: The number of processes is below one, or given with Ray.
+            WorkerError: Ray is not installed, or there is no cluster.
         """
         if self.engine == "ray":
             if self.workers is not None:
@@ -62,10 +62,10 @@ WorkerOptions = Annotated[Workers, tyro.conf.arg(name="")]
 
 
 class _Rate(ProgressColumn):
-    """How many are done per second."""
+    """Number of finished items per second."""
 
     def render(self, task: Task) -> Text:
-        """Return the rate, once there is one."""
+        """Return the rate; empty text before the first item is finished."""
         speed = task.finished_speed or task.speed
         return Text("" if speed is None else f"{speed:.1f}/s")
 
@@ -77,16 +77,16 @@ def progress_bar(
     """Show a bar with rate and time left on the error stream.
 
     Args:
-        what: Label of the bar, a word or two.
-        total: How many there are; None if that is not known.
-        at_interrupt: Message after Ctrl-C: what is kept, and how to go on. It may
-            name ``{done}`` and ``{total}``.
+        what: Label of the bar, one or two words.
+        total: Number of items; None if unknown.
+        at_interrupt: Message after Ctrl-C, which says what is saved and how to
+            continue. It may contain ``{done}`` and ``{total}``.
 
     Yields:
-        A function that is told how many were done since it was last told.
+        A function to call with the number of newly finished items.
 
     Raises:
-        KeyboardInterrupt: With what to say.
+        KeyboardInterrupt: After Ctrl-C, with the message.
     """
     columns = (
         TextColumn("{task.description}", markup=False),

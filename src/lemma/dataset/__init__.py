@@ -1,1 +1,1 @@
-"""Episodes on disk: recipes, replays, and what is rendered from them."""
+"""Episodes on disk: recipes, replays and renderings."""

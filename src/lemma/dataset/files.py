@@ -13,13 +13,13 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, sha256_of
 
 MANIFEST = "manifest.json"
-"""File of a data set that lists its files."""
+"""File of a data set that lists its files with checksums."""
 CARD = "README.md"
-"""File of a data set for people."""
+"""File with the description of a data set."""
 
 
 class _Entry(msgspec.Struct):
-    """The required fields in the entry of a file."""
+    """The required fields of a file's entry in the manifest."""
 
     sha256: str
     digests: tuple[str, ...] = ()
@@ -31,7 +31,7 @@ def card(name: str, **values: object) -> str:
     """Return the README of a data set, with the header that the Hub reads.
 
     Args:
-        name: Name of a text in the folder ``cards``.
+        name: Name of a text in the folder ``cards``, without ending.
         **values: Values of its fields.
     """
     text = resources("lemma.dataset") / "cards" / f"{name}.md"
@@ -39,19 +39,19 @@ def card(name: str, **values: object) -> str:
 
 
 def check_free(folder: Path, *, begun: bool) -> None:
-    """Check that the card of a data set overwrites nobody else's.
+    """Check that the card of a data set overwrites no other file.
 
     Args:
-        folder: Where a dataset is to be written.
-        begun: Whether some of it is there already.
+        folder: Folder for the dataset.
+        begun: Whether the folder already contains a part of the dataset.
 
     Raises:
-        DatasetError: The folder holds something else.
+        DatasetError: The folder contains something else.
     """
     if (folder / CARD).exists() and not begun and not (folder / MANIFEST).exists():
         raise DatasetError(
-            f"{folder} has a {CARD}, but no dataset: it holds something else. Choose "
-            "a folder of its own for the dataset."
+            f"{folder} has a {CARD}, but no dataset. Choose another folder for the "
+            "dataset."
         )
 
 
@@ -59,7 +59,7 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
     """Check the files of a dataset against its manifest.
 
     Args:
-        folder: A recipe, or rendered data.
+        folder: A recipe or rendered data.
         partial: Whether files may be missing.
 
     Raises:
@@ -83,31 +83,35 @@ def check_files(folder: Path, *, partial: bool = False) -> None:
 
 
 def read_manifest(folder: Path, form: str) -> dict[str, dict[str, Any]]:
-    """Return what the manifest of a rendered data set says of its files.
+    """Return the entries of the files in the manifest of a rendered data set.
+
+    Args:
+        folder: The data set.
+        form: Expected form of the data set, such as ``"keyframes"``.
 
     Raises:
-        DatasetError: There is none, or it is one of another form.
+        DatasetError: There is no manifest, or it is of another form.
     """
     if not (folder / MANIFEST).exists():
         raise DatasetError(
-            f"{folder} has no {MANIFEST}: nothing was rendered there, or not to the "
-            f"end. Run 'lemma render --form {form} --out {quote(str(folder))}' "
-            "(again)."
+            f"{folder} has no {MANIFEST}: it has no rendered data, or the rendering "
+            f"was interrupted. Run 'lemma render --form {form} --out "
+            f"{quote(str(folder))}' (again)."
         )
     manifest = read_json(folder / MANIFEST)
     if manifest.get("form") != form:
         raise DatasetError(
-            f"{folder} holds {manifest.get('form', 'recipe')!r}, not {form!r}. Choose "
+            f"{folder} has {manifest.get('form', 'recipe')!r}, not {form!r}. Choose "
             f"another folder, or make one with 'lemma render --form {form}'."
         )
     return listed_files(folder)
 
 
 def listed_files(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the entry of each file in the manifest.
+    """Return the entry of each file in the manifest, by path in the folder.
 
     Raises:
-        DatasetError: It is missing or damaged.
+        DatasetError: The manifest is missing or damaged.
     """
     files = read_json(folder / MANIFEST).get("files", {})
     try:
@@ -124,7 +128,7 @@ def listed_versions(folder: Path) -> dict[str, str]:
     """Return the versions in the manifest of a recipe.
 
     Raises:
-        DatasetError: It is missing or damaged.
+        DatasetError: The manifest is missing or damaged.
     """
     found = read_json(folder / MANIFEST).get("versions", {})
     try:
@@ -136,7 +140,7 @@ def listed_versions(folder: Path) -> dict[str, str]:
 def _damaged(folder: Path, why: str) -> str:
     return (
         f"{folder / MANIFEST} is damaged: {why.rstrip('.')}. Fetch it again, or delete "
-        "it and run the command again that wrote it."
+        "it and repeat the command that wrote it."
     )
 
 
@@ -145,18 +149,18 @@ def check_sum(path: Path, entry: dict[str, Any] | None, written: str) -> str:
 
     Args:
         path: The file.
-        entry: Its entry in the manifest, if there is one.
-        written: The command that writes it.
+        entry: Its entry in the manifest; None without one.
+        written: The command that writes the file.
 
     Raises:
-        DatasetError: It was changed.
+        DatasetError: The file was changed.
     """
     found = sha256_of(path)
     if entry is not None and found != entry["sha256"]:
         raise DatasetError(
-            f"{path} has another checksum than {MANIFEST} says: it was changed or "
-            f"damaged. Fetch it again, or delete it and run '{written}' again: it "
-            "writes what is missing."
+            f"{path} has another checksum than in {MANIFEST}: it was changed or "
+            f"damaged. Fetch it again, or delete it and run '{written}' again, which "
+            "writes missing files."
         )
     return found
 
@@ -167,5 +171,5 @@ def shorten(digest: str) -> str:
 
 
 def content_digest(digests: Iterable[str]) -> str:
-    """Return the SHA-256 of a list of digests: of what a file or a split says."""
+    """Return the SHA-256 of the digests of a file's or a split's episodes."""
     return hashlib.sha256("".join(digests).encode()).hexdigest()

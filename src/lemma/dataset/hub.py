@@ -1,4 +1,4 @@
-"""Datasets on the Hugging Face Hub: up, and down again, checked on both sides."""
+"""Upload and download of datasets on the Hugging Face Hub, with checksums."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,24 +14,24 @@ from lemma.dataset.files import MANIFEST, check_files, listed_files
 
 _KIND = "dataset"
 _HIDDEN = [".*", ".*/**", "**/.*"]
-"""Files that are never uploaded: drafts, parts, caches."""
+"""Patterns of files that are never uploaded: drafts, parts, caches."""
 _TRANSPORTS = ("httpx", "httpcore", "requests", "urllib3")
 
 
 def push(folder: Path, repository: str, *, private: bool = False) -> str:
-    """Upload a dataset: a recipe, or rendered data.
+    """Upload a dataset: a recipe or rendered data.
 
     Args:
         folder: The dataset.
-        repository: ``"owner/name"``; made if there is none.
-        private: Whether others may not see it, if it is made.
+        repository: ``"owner/name"``; created if it is missing.
+        private: Whether to create it as a private repository.
 
     Returns:
-        The address of the upload.
+        The URL of the upload.
 
     Raises:
-        DatasetError: The dataset is incomplete or damaged, or the Hub cannot be
-            reached, or does not let us, or its client is not installed.
+        DatasetError: The dataset is incomplete or damaged; the Hub cannot be reached
+            or denies access; or its client is not installed.
     """
     _check_name(repository)
     check(folder)
@@ -57,21 +57,20 @@ def pull(
 ) -> Path:
     """Download a dataset, and check its files.
 
-    Files that exist are not fetched again, so a second call continues an interrupted
-    one.
+    Existing files are not fetched again, so a second call continues an interrupted one.
 
     Args:
         repository: ``"owner/name"``.
-        out: Folder for it.
-        revision: Branch, tag or commit; the main branch if None.
-        splits: Only the files of these splits; all if none is named.
+        out: Folder for the dataset.
+        revision: Branch, tag or commit; None for the main branch.
+        splits: Names of splits to fetch; empty for all.
 
     Returns:
         The folder.
 
     Raises:
-        DatasetError: It cannot be fetched or is damaged, or the client of the Hub is
-            not installed.
+        DatasetError: The dataset cannot be fetched or is damaged, or the client of the
+            Hub is not installed.
         OSError: The folder cannot be written to.
     """
     _check_name(repository)
@@ -80,30 +79,32 @@ def pull(
         if not (out / split).is_dir():
             raise DatasetError(
                 f"{repository} has no files of split {split!r}. Leave out the splits "
-                "to fetch all there is."
+                "to fetch all of them."
             )
     if damaged:
         raise DatasetError(
-            f"{out / damaged[0]} arrived damaged twice: its checksum is not the one in "
-            f"{MANIFEST}. Run the same command again; if that does not help, what is "
-            f"in {repository} is damaged."
+            f"{out / damaged[0]} was damaged after two downloads: its checksum is not "
+            f"that in {MANIFEST}. Run the same command again. If this does not help, "
+            f"the file in {repository} is damaged."
         )
     try:
         check(out, partial=bool(splits))
     except DatasetError as error:
-        raise DatasetError(f"What {repository} holds is not whole. {error}") from error
+        raise DatasetError(
+            f"The dataset in {repository} is not complete. {error}"
+        ) from error
     return out
 
 
 def _fetch(
     repository: str, out: Path, revision: str | None, splits: Sequence[str]
 ) -> list[str]:
-    """Download a dataset; return the files that arrived damaged, twice."""
+    """Download a dataset; return the files that are damaged after two downloads."""
     client = _client()
     patterns = ["*.json", "*.md", *(f"{split}/*" for split in splits)]
     with _explained(repository):
-        # The commit is asked for because the download, where the Hub cannot be reached,
-        # silently returns the files that exist.
+        # Request the commit first: without a connection, the download would silently
+        # return the existing files.
         commit = client.dataset_info(repository, revision=revision).sha
         out.mkdir(parents=True, exist_ok=True)
         fetch = partial(
@@ -114,7 +115,7 @@ def _fetch(
             local_dir=out,
         )
         fetch(allow_patterns=patterns if splits else None)
-        # The client compares sizes only, and never fetches a file twice.
+        # The client compares only sizes, and does not fetch an existing file again.
         if not (damaged := _damaged(out)):
             return []
         fetch(allow_patterns=damaged, force_download=True)
@@ -122,7 +123,7 @@ def _fetch(
 
 
 def _damaged(folder: Path) -> list[str]:
-    """Return the files whose checksum is wrong; missing ones are left out."""
+    """Return the existing files with a wrong checksum."""
     if not (folder / MANIFEST).exists():
         return []
     return [
@@ -133,14 +134,14 @@ def _damaged(folder: Path) -> list[str]:
 
 
 def check(folder: Path, *, partial: bool = False) -> None:
-    """Check that a dataset is whole.
+    """Check that a dataset is complete.
 
     Args:
         folder: The dataset.
         partial: Whether files may be missing.
 
     Raises:
-        DatasetError: It is not.
+        DatasetError: The dataset is missing, incomplete or damaged.
     """
     if (folder / PARTS).exists():
         raise DatasetError(
@@ -149,8 +150,8 @@ def check(folder: Path, *, partial: bool = False) -> None:
         )
     if not folder.is_dir() or not any(_content(folder)):
         raise DatasetError(
-            f"There is no dataset in {folder}. 'lemma generate' and 'lemma render' "
-            "write some."
+            f"There is no dataset in {folder}. Write one with 'lemma generate' or "
+            "'lemma render'."
         )
     # A LeRobotDataset has no such manifest.
     if (folder / MANIFEST).exists():
@@ -158,7 +159,7 @@ def check(folder: Path, *, partial: bool = False) -> None:
 
 
 def _content(folder: Path) -> Iterator[Path]:
-    """Yield the files of a dataset: those in its folders."""
+    """Yield the files of a dataset, which are those in its subfolders."""
     return (path for path in folder.glob("[!.]*/**/*") if path.is_file())
 
 
@@ -166,7 +167,7 @@ def _check_name(repository: str) -> None:
     owner, slash, name = repository.partition("/")
     if not (owner and slash and name) or "/" in name:
         raise InvalidConfigError(
-            f"{repository!r} names no repository of the Hub. Write owner/name."
+            f"{repository!r} is not a repository of the Hub. Write owner/name."
         )
 
 
@@ -183,10 +184,10 @@ def _client() -> Any:
 
 @contextmanager
 def _explained(repository: str) -> Iterator[None]:
-    """Turn an error of the client into one sentence that says what to do.
+    """Turn an error of the client into a message with advice.
 
     Raises:
-        DatasetError: The sentence.
+        DatasetError: The message.
     """
     try:
         yield
@@ -197,21 +198,21 @@ def _explained(repository: str) -> Iterator[None]:
 
 
 def _words(error: Exception, repository: str) -> str | None:
-    """Return the sentence, or None if the error is not about the Hub."""
+    """Return the message; None if the error is not about the Hub."""
     chain = list(_chain(error))
     answers = (getattr(link, "response", None) for link in chain)
     found = (getattr(answer, "status_code", None) for answer in answers)
     status = next((code for code in found if code is not None), None)
     if status in (401, 403):
         return (
-            f"The Hub does not let you use {repository} ({status}): it does not exist, "
-            "or your token may not do that. Check the name, and log in with: hf auth "
+            f"The Hub denies access to {repository} ({status}): it does not exist, or "
+            "your token lacks the permission. Check the name, and log in with: hf auth "
             "login"
         )
     if status == 404:
         return (
-            f"The Hub has no dataset {repository}, or not that revision of it. Check "
-            "the name."
+            f"The Hub has no dataset {repository}, or not this revision. Check the "
+            "name."
         )
     if status is not None:
         why = without_passwords(" ".join(str(error).split()))
@@ -220,18 +221,18 @@ def _words(error: Exception, repository: str) -> str | None:
         return (
             f"The Hub could not be reached ({type(error).__name__}). Check the "
             "network, the proxy, and HF_ENDPOINT and HF_HUB_OFFLINE if they are set. "
-            "The same command goes on where it was stopped."
+            "The same command continues where it was stopped."
         )
     if isinstance(error, UnicodeEncodeError):
         return (
-            "The token of the Hub cannot be sent: it holds a curly quotation mark or "
+            "The token of the Hub cannot be sent: it has a curly quotation mark or "
             "another character that is not ASCII. Set HF_TOKEN again, or log in with: "
             "hf auth login"
         )
     if type(error).__name__ == "HFValidationError":
         why = " ".join(str(error).split())
         return (
-            f"{repository!r} names no repository of the Hub. Write owner/name. ({why})"
+            f"{repository!r} is not a repository of the Hub. Write owner/name. ({why})"
         )
     return None
 

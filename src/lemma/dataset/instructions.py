@@ -1,7 +1,7 @@
-"""Sentences for training, drawn anew in every epoch, with neither MuJoCo nor torch.
+"""Instructions for training, drawn again in every epoch, without MuJoCo or torch.
 
-A recipe records one sentence of each kind per episode. The bank of a task has more, and
-a model that reads only one per episode learns fewer words than it could.
+A recipe records one sentence of each kind per episode. The templates of a task give
+more sentences, from which a model learns more words.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from lemma.tasks.language.bank import instruct
 from lemma.tasks.language.template import KINDS, GoalPairs
 
 TRAINING_KINDS = ("high_level", "human")
-"""Kinds of sentences that may be trained on: all but those held out."""
+"""Kinds of sentences for training; the others are held out."""
 
 _SOURCES = ("recorded", "resampled")
 
@@ -28,19 +28,19 @@ def draw_instruction(
     epoch: int = 0,
     kinds: Sequence[str] = TRAINING_KINDS,
 ) -> str:
-    """Draw a sentence that asks for a goal: first its kind, then its template.
+    """Draw a sentence for a goal: first its kind, then its template.
 
     Args:
         task: Name of the task.
         goal_pairs: The (top, bottom) entities of the goal.
         key: Key of the episode. The same key, seed and epoch give the same sentence, so
-            that all keyframes of an episode agree.
-        seed: Seeds all draws.
-        epoch: A new one gives new sentences.
-        kinds: Kinds to draw from, each as likely.
+            all keyframes of an episode have the same.
+        seed: Seed of all draws.
+        epoch: Number of the epoch; each has new sentences.
+        kinds: Kinds to draw from, with equal probability.
 
     Raises:
-        InvalidConfigError: One of the kinds is not for training.
+        InvalidConfigError: There are no kinds, or one is not for training.
     """
     for kind in kinds:
         if kind not in TRAINING_KINDS:
@@ -58,21 +58,21 @@ def draw_instruction(
 
 
 def check_recorded(kind: str, splits: Sequence[str]) -> None:
-    """Check that sentences as they were recorded may be used.
+    """Check that recorded sentences may be read.
 
     Args:
         kind: Kind of sentences.
-        splits: Splits that they are read for.
+        splits: Splits of their episodes.
 
     Raises:
         UnknownNameError: There is no such kind.
-        DatasetError: They are held out, and the split is for training.
+        DatasetError: The kind is held out, and a split is for training.
     """
     if kind not in KINDS:
         raise UnknownNameError("kind of instruction", kind, KINDS)
     if kind not in TRAINING_KINDS and "train" in splits:
         raise DatasetError(
-            f"Sentences of kind {kind!r} are held out: they are not read with the "
+            f"Sentences of kind {kind!r} are held out: they cannot be used with the "
             "split 'train'. Choose split 'val' or 'test', or kind "
             f"{' or '.join(map(repr, TRAINING_KINDS))}."
         )
@@ -83,15 +83,19 @@ class Language:
     """The source of an episode's instruction."""
 
     instructions: str = "recorded"
-    """``"recorded"``: the episode's own. ``"resampled"``: drawn from the templates for
-    training, high-level and human, anew in every epoch."""
+    """``"recorded"``: the sentence in the record. ``"resampled"``: drawn from the
+    templates for training, high-level and human, again in every epoch."""
     kind: str = "high_level"
-    """Recorded kind: ``high_level``, ``human`` or, but for training, ``unseen``."""
+    """Recorded kind: ``high_level``, ``human`` or, except for training, ``unseen``."""
     seed: int = 0
     """Seed of resampled instructions."""
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Check the names.
+
+        Raises:
+            UnknownNameError: The source or the kind is unknown.
+        """
         if self.instructions not in _SOURCES:
             raise UnknownNameError(
                 "source of instructions", self.instructions, _SOURCES
@@ -104,10 +108,10 @@ class Language:
 
         Args:
             record: The episode.
-            epoch: A new one gives a new sentence, where they are resampled.
+            epoch: Number of the epoch; each has new sentences if they are resampled.
 
         Raises:
-            DatasetError: It is held out, and the episode is for training.
+            DatasetError: The sentence is held out, and the episode is for training.
         """
         if self.instructions == "recorded":
             check_recorded(self.kind, (record.split,))
@@ -124,4 +128,4 @@ class Language:
 
 
 RECORDED = Language()
-"""The recorded high-level sentence."""
+"""Use of the recorded high-level sentences."""

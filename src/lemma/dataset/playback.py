@@ -1,7 +1,7 @@
-"""An episode played again: recorded steps are carried out, and nobody decides.
+"""Replay of an episode: execution of its recorded steps without a policy.
 
-Physics repeats to the bit, so the same steps lead to the same states on the same kind
-of machine, with the same versions.
+The simulation is deterministic: on the same kind of machine, with the same versions,
+the same steps lead to the same states, bit for bit.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,10 +22,10 @@ from lemma.tasks.suite import FREE_SPLIT
 
 @dataclass(frozen=True, slots=True)
 class MotorCommands:
-    """Actions at control level, one after the other."""
+    """A sequence of actions at control level."""
 
     control: str
-    """Their mode, a name in :data:`lemma.env.control.modes.CONTROLS`."""
+    """Control mode, a name in :data:`lemma.env.control.modes.CONTROLS`."""
     control_hz: float
     """Actions per second of simulated time."""
     rows: Sequence[NDArray[np.floating[Any]]]
@@ -34,11 +34,12 @@ class MotorCommands:
 
 Step = GroundedSubTask | MotorCommands
 Watcher = Callable[[int], None]
-"""Is told of each step, from 0, before it begins, and once more behind the last one."""
+"""Called with the index of each step before it begins, and with the number of steps
+after the last one."""
 
 
 def unwatched(number: int) -> None:
-    """Take no notice."""
+    """Do nothing: the default watcher."""
 
 
 def play_steps(
@@ -48,20 +49,21 @@ def play_steps(
     *,
     lingers: bool = False,
 ) -> None:
-    """Carry out steps, one after the other.
+    """Execute steps, one after another.
 
-    Outcomes of sub-tasks are in ``episode.executed``. Observers of every tick are added
-    to ``episode.simulation.observers``.
+    Outcomes of sub-tasks are in ``episode.executed``. Add observers of every tick to
+    ``episode.simulation.observers``.
 
     Args:
-        episode: Just begun; at the end it is over only if the time is up.
-        steps: Recorded steps to carry out.
-        before: Is told of each step.
-        lingers: Whether every sub-task takes as long as a decision of a policy does at
-            least.
+        episode: The episode, in its initial state. Afterwards it is over only if its
+            time is up.
+        steps: The recorded steps.
+        before: Called before each step.
+        lingers: Whether every sub-task takes at least the least time of a policy's
+            decision.
 
     Raises:
-        LemmaError: A step is impossible, or the episode is over before it.
+        LemmaError: A step cannot be executed, or the episode is over before it.
     """
     done = 0
     for step in steps:
@@ -75,10 +77,10 @@ def play_steps(
 
 
 def carry_out(episode: Episode, step: Step) -> None:
-    """Carry out a step from where the robots are, to its end or that of the episode.
+    """Execute a step from the present state, to its end or that of the episode.
 
     Raises:
-        LemmaError: It is impossible, or the episode is over.
+        LemmaError: The step cannot be executed, or the episode is over.
     """
     if isinstance(step, GroundedSubTask):
         episode.execute(step)
@@ -98,7 +100,7 @@ def carry_out(episode: Episode, step: Step) -> None:
 
 
 class FrameTaker:
-    """Keeps positions of all joints at a rate, while a simulation goes on."""
+    """Records the joint positions of a simulation at a rate."""
 
     def __init__(
         self,
@@ -106,16 +108,16 @@ class FrameTaker:
         frame_s: float,
         frames: Iterable[tuple[float, FloatArray]] = (),
     ) -> None:
-        """Watch a simulation from now on.
+        """Begin to record.
 
         Args:
-            simulation: It is not changed.
+            simulation: The simulation; it is not changed.
             frame_s: Simulated time from one state to the next [s].
-            frames: States kept from an earlier part of the episode, with their times.
+            frames: Recorded times and states of an earlier part of the episode.
         """
         self._simulation, self._frame_s = simulation, frame_s
         self.frames = [*frames]
-        """Simulated time [s] and positions of all joints, (nq,)."""
+        """Simulated times [s] and MuJoCo's joint positions, (nq,)."""
         self._take()
         simulation.observers.append(self._take)
 

@@ -1,9 +1,9 @@
 """Teleoperated episodes: sub-tasks of a policy, motor commands by hand, and their file.
 
-Motor commands have no place in a recipe. The file of a teleoperated episode holds the
-instance and all steps, and :func:`perform` plays it again, to the bit. Readers of
-instances read it, too. :func:`read_record` makes it a record, which is filmed like
-those of a recipe.
+A recipe cannot store motor commands. The file of a teleoperated episode contains the
+instance and all steps, and :func:`perform` plays it again, bit for bit. Readers of
+instances can read it as well. :func:`read_record` returns it as a record, which can be
+rendered like those of a recipe.
 """
 
 import json
@@ -31,18 +31,18 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 KEY = "done"
-"""Key of the steps, beside the fields of the instance."""
+"""Key of the steps in the file, next to the fields of the instance."""
 LED = "Led by hand"
-"""Words for motor commands that were given by hand."""
+"""Description of motor commands by hand."""
 LONGEST_S = HORIZON_S + STILL_S + TICK_S
-"""The longest episode, with its verdict and a tick [s]."""
+"""Largest simulated duration of an episode, with the rest at its end and a tick [s]."""
 _EARLY_S = 0.5 * TICK_S
 _Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Executed:
-    """A sub-task that a policy executed; as the file holds it."""
+    """A sub-task that a policy executed, as stored in the file."""
 
     start_s: float
     """Simulated time at which it began [s]."""
@@ -51,51 +51,51 @@ class Executed:
     pick: str
     place: str
     pick_pose: _Pose
-    """Gripper where it closes: x, y [m], yaw [rad]."""
+    """Gripper at the grasp, in the world's frame: x, y [m], yaw [rad]."""
     place_pose: _Pose
-    """Gripper where the motion ends: x, y [m], yaw [rad]."""
+    """Gripper at the end of the motion, in the world's frame: x, y [m], yaw [rad]."""
     until_s: float | None
-    """Simulated time at which it was broken off, because somebody took over [s]; None
-    if it came to its end."""
+    """Simulated time at which a takeover interrupted it [s]; None if it was
+    finished."""
 
     @classmethod
     def begin(
         cls, start_s: float, subtask: SubTask, grounded: GroundedSubTask
     ) -> "Executed":
-        """Return a sub-task that begins."""
+        """Return a sub-task that begins at a simulated time [s]."""
         poses = pose_row(grounded.pick), pose_row(grounded.place)
         names = subtask.robot, subtask.primitive, subtask.pick, subtask.place
         return cls(start_s, *names, *poses, until_s=None)
 
     @property
     def subtask(self) -> SubTask:
-        """The sub-task by names."""
+        """The sub-task with names."""
         return SubTask(self.robot, self.primitive, self.pick, self.place)
 
     @property
     def grounded(self) -> GroundedSubTask:
-        """The sub-task by poses, ready to be executed."""
+        """The sub-task with poses, for execution."""
         poses = Pose2(*self.pick_pose), Pose2(*self.place_pose)
         return GroundedSubTask(self.robot, self.primitive, *poses)
 
 
 @dataclass(frozen=True, slots=True)
 class Commanded(MotorCommands):
-    """Motor commands that somebody gave by hand."""
+    """Motor commands that a visitor gave by hand."""
 
     start_s: float
-    """Simulated time of the first one [s]."""
+    """Simulated time of the first command [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Nudged:
-    """An object that somebody moved by hand."""
+    """A motion of an object by a visitor."""
 
     time_s: float
     """Simulated time [s]."""
     name: str
     pose: _Pose
-    """Where to: x, y [m], yaw [rad]."""
+    """New pose in the world's frame: x, y [m], yaw [rad]."""
 
 
 class _Commanded(TypedDict):
@@ -116,22 +116,22 @@ class _Data(TypedDict):
 
 @dataclass(frozen=True)
 class Teleoperation:
-    """An episode of a policy and of somebody who took over."""
+    """An episode of a policy and of a visitor who took over."""
 
     instance: Instance
     instruction: str
-    """The spoken sentence."""
+    """The visitor's sentence."""
     parts: tuple[Executed | Commanded, ...]
     """Steps of the robots, in order."""
     nudged: tuple[Nudged, ...]
-    """Objects that somebody moved meanwhile, in order."""
+    """Motions of objects by the visitor, in order."""
     end_s: float
-    """Simulated time to which it goes [s]."""
+    """Simulated time of its end [s]."""
     end_sha256: str
-    """Digest of the joints' positions then, see :func:`joints_sha256`."""
+    """Digest of the joint positions at its end, see :func:`joints_sha256`."""
 
     def to_json(self) -> str:
-        """Return it as a file; what reads an instance reads it too."""
+        """Return the content of a file, which is also valid as an instance's file."""
         commanded: list[_Commanded] = [
             {
                 "start_s": part.start_s,
@@ -158,8 +158,8 @@ class Teleoperation:
         """Read a file.
 
         Raises:
-            InvalidConfigError: It cannot be read, or does not say what was done.
-            UnknownNameError: Its instance names something that does not exist.
+            InvalidConfigError: The file cannot be read, or has no valid steps.
+            UnknownNameError: Its instance has an unknown name.
         """
         instance = Instance.load(path)
         data = json.loads(path.read_bytes()).get(KEY)
@@ -167,22 +167,22 @@ class Teleoperation:
             found = msgspec.convert(data, _Data)
         except (msgspec.ValidationError, RecursionError) as error:
             raise InvalidConfigError(
-                f"{path} holds an instance, but not what was done by hand: {error}. "
-                "lemma play saves such files."
+                f"{path} has an instance, but no valid steps by hand: {error}. lemma "
+                "play saves such files."
             ) from None
         parts: list[Executed | Commanded] = [*found["executed"]]
         for part in found["commanded"]:
             rows = [np.asarray(row, float) for row in part["rows"] if row]
             if not rows or any(row.shape != rows[0].shape for row in rows):
-                raise InvalidConfigError(f"{path}: motor commands have no one shape.")
+                raise InvalidConfigError(f"{path}: motor commands differ in shape.")
             parts.append(
                 Commanded(part["control"], part["control_hz"], rows, part["start_s"])
             )
         if not parts:
-            raise InvalidConfigError(f"{path}: nothing was done.")
+            raise InvalidConfigError(f"{path}: there are no steps.")
         if not 0.0 < found["end_s"] <= LONGEST_S:
             raise InvalidConfigError(
-                f"{path} goes to {found['end_s']:g} s. Episodes end within "
+                f"{path} ends at {found['end_s']:g} s, but episodes end within "
                 f"{LONGEST_S:g} s."
             )
         return cls(
@@ -205,12 +205,12 @@ def is_teleoperated(path: Path) -> bool:
 
 
 def joints_sha256(qpos: FloatArray) -> str:
-    """Return the SHA-256 of joints' positions, (nq,), as little-endian float64."""
+    """Return the SHA-256 of joint positions, (nq,), as little-endian float64."""
     return sha256(np.asarray(qpos, "<f8").tobytes()).hexdigest()
 
 
 class _ReachedError(Exception):
-    """The time is reached at which a step was broken off."""
+    """The simulation has reached the time at which a step was interrupted."""
 
 
 class _Clock:
@@ -224,12 +224,12 @@ class _Clock:
         simulation.observers.append(self._look)
 
     def stop(self) -> None:
-        """Do so no longer."""
+        """Stop observing the simulation."""
         self._simulation.observers.remove(self._look)
 
     @property
     def at_end(self) -> bool:
-        """Whether the end of the recording is reached."""
+        """Whether the simulation has reached the end of the recording."""
         return self._simulation.time_s >= self._end_s - _EARLY_S
 
     def _look(self) -> None:
@@ -246,15 +246,16 @@ def perform(
     episode: Episode,
     before: Watcher = unwatched,
 ) -> None:
-    """Play a teleoperated episode again, up to the end of what was kept.
+    """Play a teleoperated episode again, up to the end of the recording.
 
     Args:
         done: The recording.
-        episode: Episode of its instance, just begun; at the end it needs not be over.
-        before: Is told of each part.
+        episode: Episode of its instance, in its initial state; afterwards it need not
+            be over.
+        before: Called before each part.
 
     Raises:
-        LemmaError: A step is impossible: the file was changed.
+        LemmaError: A step cannot be executed, since the file was changed.
     """
     simulation = episode.simulation
     clock = _Clock(simulation, done)
@@ -283,7 +284,7 @@ def perform(
 
 
 def is_same(done: Teleoperation, episode: Episode) -> bool:
-    """Return whether the end of an episode is the recorded one, to the bit."""
+    """Return whether the final state of an episode is the recorded one, bit for bit."""
     return joints_sha256(episode.simulation.scene.data.qpos) == done.end_sha256
 
 
@@ -291,12 +292,12 @@ def nudge(simulation: Simulation, name: str, pose: Pose2) -> None:
     """Move an object on the table, at rest, between two steps of physics.
 
     Args:
-        simulation: Between two ticks.
+        simulation: The simulation, between two ticks.
         name: Name of the object.
-        pose: Where to put it.
+        pose: New pose in the world's frame.
 
     Raises:
-        InvalidConfigError: It cannot be moved, or not there; nothing has moved.
+        InvalidConfigError: The object or the pose is not possible; nothing has moved.
     """
     scene = simulation.scene
     _check_free(simulation, name)
@@ -315,10 +316,10 @@ def _check_free(simulation: Simulation, name: str) -> None:
     scene, phrase = simulation.scene, entity_named(name).phrase
     if name not in scene.movable_names:
         raise InvalidConfigError(
-            f"The {phrase} is fixed. It is moved before an episode or after it."
+            f"The {phrase} is fixed. Move it before or after an episode."
         )
     if name in simulation.held().values():
-        raise InvalidConfigError(f"The {phrase} is in a gripper. Wait until it is not.")
+        raise InvalidConfigError(f"The {phrase} is in a gripper. Wait for its release.")
     above = SymbolicState.observe(scene).on_top_of(name)
     if above is not None:
         raise InvalidConfigError(
@@ -328,17 +329,17 @@ def _check_free(simulation: Simulation, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TeleoperatedRecord(EpisodeRecord):
-    """An episode with steps that are no sub-tasks; see ``done``."""
+    """An episode with motor commands besides sub-tasks; see ``done``."""
 
     done: Teleoperation = field(repr=False)
     """All steps."""
 
 
 def files_in(place: Path) -> list[Path]:
-    """Return the files of teleoperated episodes: one, or those of a folder.
+    """Return the files of teleoperated episodes: a single file, or those of a folder.
 
     Args:
-        place: A file or a folder; other files there are ignored.
+        place: A file, or a folder; other files in the folder are ignored.
     """
     found = [place] if place.is_file() else sorted(place.glob("*.json"))
     return [path for path in found if is_teleoperated(path)]
@@ -348,8 +349,8 @@ def read_record(path: Path) -> TeleoperatedRecord:
     """Read a file, and play it again to get its states.
 
     Raises:
-        DatasetError: It leads to another state here.
-        LemmaError: It cannot be read, or a step is impossible.
+        DatasetError: The replay leads to another state here.
+        LemmaError: The file cannot be read, or a step cannot be executed.
     """
     done = Teleoperation.load(path)
     episode = Episode(done.instance)
@@ -362,8 +363,8 @@ def read_record(path: Path) -> TeleoperatedRecord:
     perform(done, episode, keep)
     if not is_same(done, episode):
         raise DatasetError(
-            f"{path}: what was done leads to another state here. Read it with the "
-            "versions, and on the kind of machine, that it was written with."
+            f"{path}: its steps lead to another state here. Read it with the versions, "
+            "and on the kind of machine, that it was written with."
         )
     ends = (*times[1:-1], done.end_s)
     rows = (

@@ -35,6 +35,7 @@ _JOINT_SPEED_RAD_S = 10.0
 _FINGER_SPEED_M_S = 1.0
 _ROOM_M = 10.0
 _LARGEST_DEPTH_M = 100.0
+_LARGEST_KG = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,9 @@ OBSERVATIONS.add("goal_state", Contents(goal=True))
 
 TRUTH = ("objects", "present", "robots", "goal", "goal_poses")
 """Parts of the true state, in the order of :func:`truth_vector`."""
+LOADS = ("masses_kg", "carries_kg")
+"""Masses of all objects, and the largest mass that each robot carries: parts of the
+true state that :func:`truth_vector` leaves out."""
 POSE_AXES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Numbers of a pose."""
 GOAL_PAIRS = 4
@@ -170,7 +174,9 @@ class Observer:
         count = len(self._entities)
         pose = np.tile([_ROOM_M] * 3 + [1.0] * 4, (count, 1))
         base = np.tile([_ROOM_M, _ROOM_M, np.pi, _ROOM_M], (len(self._robots), 1))
-        return {
+        kilograms = (np.full(n, _LARGEST_KG) for n in (count, len(self._robots)))
+        loads = {k: _box(0.0 * m, m) for k, m in zip(LOADS, kilograms, strict=True)}
+        return loads | {
             "objects": _box(-pose, pose),
             "present": spaces.MultiBinary(count),
             "robots": _box(-base, base),
@@ -267,6 +273,10 @@ class Observer:
         for name, pose in poses.items():
             objects[number[name]] = pose
             present[number[name]] = 1
+        masses = np.zeros(len(number))
+        for placed in spec.objects:
+            # Also of objects that have fallen off the table.
+            masses[number[placed.name]] = placed.weight_kg
         asked = np.zeros((GOAL_PAIRS, 2, 7))
         for pair, (top, bottom) in enumerate(goal.pairs):
             # A hand has neither an index nor a pose. In the table, the object's pose
@@ -288,6 +298,8 @@ class Observer:
             "robots": self._fit("robots", bases),
             "goal": wanted,
             "goal_poses": self._fit("goal_poses", asked),
+            "masses_kg": self._fit("masses_kg", masses),
+            "carries_kg": self._fit("carries_kg", [r.carries_kg for r in robots]),
         }
 
     def _fit(self, name: str, values: Any) -> NDArray[np.float32]:

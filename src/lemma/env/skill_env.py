@@ -9,6 +9,8 @@ from lemma.env.episode import LEAST_STEP_S, Episode
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.tasks.subtask import GroundedSubTask
 
+_REFUSED = (Outcome.INVALID, Outcome.UNREACHABLE, Outcome.OVERLOAD)
+
 
 class SubTaskEnv(LemmaEnv):
     """Common base of skill level and plan level: a step executes one sub-task.
@@ -71,9 +73,8 @@ class SubTaskEnv(LemmaEnv):
         result = self.last_result
         found["outcome"] = None if result is None else str(result.outcome)
         found["explanation"] = "" if result is None else result.explanation
-        if found["failure"] == "goal_not_reached" and result is not None:
-            refused = result.outcome in (Outcome.INVALID, Outcome.UNREACHABLE)
-            found["failure"] = str(result.outcome) if refused else found["failure"]
+        if found["failure"] == "goal_not_reached" and found["outcome"] in _REFUSED:
+            found["failure"] = found["outcome"]
         return found
 
     def _remember(self) -> dict[str, Any]:

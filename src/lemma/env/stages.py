@@ -304,8 +304,10 @@ class StageWatch:
         return level
 
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
-        """Return True if a robot reaches the pick of a sub-task and its place."""
+        """Return True if a robot reaches pick and place, and carries the pick."""
         reaches = self._grounder.reaches
+        if self._grounder.overload(robot, step.pick):
+            return False
         if not held and not reaches(robot, self._grip(step.pick)):
             return False
         if step.place in self._scene.object_names and step.pick != STICK:

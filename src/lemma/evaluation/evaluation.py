@@ -159,8 +159,8 @@ def _check_folder(out: str | Path | None, spec: PolicySpec) -> None:
         return
     if (Path(out) / ABOUT).exists():
         raise InvalidConfigError(
-            f"{out} holds a result already, which may be of another object. Choose "
-            "a new folder; a policy that has a name can go on in its own."
+            f"{out} already has a result, which may be of another object. Choose a new "
+            "folder; only a policy with a name can resume."
         )
 
 
@@ -191,8 +191,8 @@ def _policy(
         return replace(spec, acting=acting, adapter=ways["adapter"]), engine
     if workers > 1:
         raise InvalidConfigError(
-            f"An object plays in this process, not in {workers} others. Leave out "
-            "workers, or give the policy as a name, such as package.module:Class."
+            f"A policy object runs in this process, not in {workers} workers. Leave "
+            "out workers, or pass the policy's name, such as package.module:Class."
         )
     controls = level == CONTROL or (not level and has_options(policy))
     acting = ways["acting"] or acting_by_default(tasks, controls=controls)
@@ -213,13 +213,13 @@ def named_at(policy: str, level: str) -> str:
     if level == LEVELS[0]:
         if len(parts_of(policy)) > 1:
             raise InvalidConfigError(
-                f"{policy} has a grounder, so it decides with poses. Name the planner "
-                'alone, or take level="skill".'
+                f"{policy} has a grounder, so its decisions have poses. Name the "
+                'planner alone, or use level="skill".'
             )
         return f"{policy}+{ORACLE}"
     if level == LEVELS[1] and is_planner(policy):
         raise InvalidConfigError(
-            f"{policy} decides in symbols. Name a grounder with it, as in "
-            f'{policy}+cliport, or take level="plan".'
+            f"{policy} is a planner, and its decisions have no poses. Add a grounder, "
+            f'as in {policy}+cliport, or use level="plan".'
         )
     return policy

@@ -1,4 +1,4 @@
-"""Parts of an episode's line: sub-tasks, and what robots do at the same time."""
+"""Parts of an episode's line: sub-tasks, and records of robots that act together."""
 
 from typing import Annotated
 
@@ -7,7 +7,7 @@ from msgspec import Meta
 
 
 class Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A part of a line: what is no field of it could be of any size."""
+    """A part of a line; unknown fields are errors, since their size is not bounded."""
 
 
 Names = Annotated[list[str], Meta(max_length=1000)]
@@ -23,7 +23,7 @@ class Symbols(Strict):
 
 
 class Poses(Strict):
-    """A sub-task with poses, of x, y [m] and yaw [rad]."""
+    """A sub-task with poses: x, y [m], yaw [rad] in the world frame."""
 
     robot: str
     primitive: str
@@ -35,7 +35,7 @@ class OrderRecord(Symbols, kw_only=True):
     """An order of a team policy."""
 
     asked: int
-    """How often the policy had been asked before."""
+    """Number of the policy's decisions before the order."""
     poses: Poses | None
 
 
@@ -47,18 +47,32 @@ class MessageRecord(Strict):
     time_s: float
 
 
+class PairRecord(Strict):
+    """Record of an instance of a pair of which one cannot be done."""
+
+    can: bool
+    """Whether this team can do it."""
+    refused: bool
+    """Whether the policy stopped before anything was done."""
+    explained: bool
+    """Whether its reason names, of the things in the goal, exactly those that are out
+    of reach."""
+    reason: Annotated[str, Meta(max_length=2000)]
+    """Its words as it refused; empty if it gave none."""
+
+
 class Together(Strict):
     """Record of an episode in which robots act at the same time.
 
-    Figures are of the strict episode.
+    Times and scores are of the strict episode.
     """
 
     expert_poses: bool
     """Whether the expert grounded the orders when they began."""
     asked: int
-    """How often the policy was asked, in all."""
+    """Total number of the policy's decisions."""
     orders: Annotated[list[OrderRecord], Meta(max_length=2000)]
-    """All of the lenient episode, in the order in which they were given."""
+    """All orders of the lenient episode, oldest first."""
     messages: Annotated[list[MessageRecord], Meta(max_length=20_000)]
     makespan_s: float
     oracle_s: float | None
@@ -74,4 +88,4 @@ class Together(Strict):
     retreats: int
     deadlocks: int
     contact_s: float
-    """Time in which two arms touched."""
+    """Time with contact between arms [s]."""

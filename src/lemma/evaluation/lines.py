@@ -1,8 +1,8 @@
-"""Lines of episodes in files: read, written, packed, and found beside their results.
+"""Reading, writing, packing and finding files with lines of episodes.
 
-An evaluation writes ``episodes.jsonl`` into a folder of its own. Beside a published
-result, ``seed-0.json``, lie the same lines packed, ``seed-0.jsonl.xz``. Fields that
-depend on the machine are left out, so the same episodes are the same lines.
+An evaluation writes ``episodes.jsonl`` into its own folder. A published result,
+``seed-0.json``, has the same lines packed beside it, ``seed-0.jsonl.xz``. Packed lines
+lack the fields that depend on the machine, so equal episodes have equal lines.
 """
 
 import json
@@ -25,15 +25,15 @@ from lemma.evaluation.records import (
 )
 
 MOST_LINE = 1 << 21
-"""Length of the line of an episode [bytes]. 100 sub-tasks take 0.1 MB; a gripper that
-grasps and lets go in every control step takes most."""
+"""Largest length of an episode's line [bytes]. 100 sub-tasks take 0.1 MB; the longest
+lines have a grasp and a release in every control step."""
 MOST_UNPACKED = 100_000_000
-"""Most that a packed file may hold [bytes], since a small one can unpack to anything.
-The 1,920 episodes of a published result take up to 10 MB."""
+"""Largest size of an unpacked file [bytes], against decompression bombs. The 1,920
+episodes of a published result take up to 10 MB."""
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Return the episodes that were played into a folder; none if there are none yet.
+    """Return the lines of episodes in a folder; an empty list without a file.
 
     Raises:
         DatasetError: The file is damaged.
@@ -43,10 +43,10 @@ def read_rows(folder: Path) -> list[Row]:
 
 
 def read_lines(path: Path) -> list[Row]:
-    """Return lines of episodes, packed or not.
+    """Return the lines of a file, packed or not.
 
     Raises:
-        DatasetError: The file is missing or damaged, or holds an episode twice.
+        DatasetError: The file is missing or damaged, or has an episode twice.
     """
     number = 0
     rows: dict[EpisodeKey, Row] = {}
@@ -62,7 +62,7 @@ def read_lines(path: Path) -> list[Row]:
         where = f"Line {number} of {path}" if number else str(path)
         again = "evaluate again"
         if path.name.endswith(PACKED):
-            again = "fetch it again, or do without lines"
+            again = "fetch it again"
         raise DatasetError(
             f"{where} cannot be read: {why}. Remove the file and {again}."
         ) from why
@@ -70,11 +70,11 @@ def read_lines(path: Path) -> list[Row]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a file, of which no more than one is held at a time.
+    """Yield the lines of a file, with only one in memory at a time.
 
     Raises:
-        ValueError: A line is too long, what was packed is too much or damaged, or it is
-            not UTF-8.
+        ValueError: A line is too long, the packed data are too large or damaged, or the
+            text is not UTF-8.
     """
     rest = b""
     for piece in _pieces(path):
@@ -110,23 +110,23 @@ def _pieces(path: Path) -> Iterator[bytes]:
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write lines of episodes, all of them or none."""
+    """Write lines of episodes, atomically."""
     write_text(path, _text(rows))
 
 
 def write_packed(path: Path, rows: Iterable[Row]) -> None:
-    """Write lines of episodes packed, all of them or none.
+    """Write packed lines of episodes, atomically.
 
     Args:
         path: The file, ``NAME.jsonl.xz``.
-        rows: In any order; what depends on the machine is left out.
+        rows: Lines in any order; fields that depend on the machine are left out.
     """
     kept = (
         {name: value for name, value in row.items() if name not in WALL_CLOCK}
         for row in sorted(rows, key=place_of)
     )
     lzma = _lzma()
-    # 8 % smaller than without "extreme", for some seconds; there is no clock in it.
+    # "extreme" is 8 % smaller and takes some seconds. The format has no time stamps.
     preset = 9 | lzma.PRESET_EXTREME
     packed: bytes = lzma.compress(_text(kept).encode(), preset=preset)
 
@@ -137,18 +137,18 @@ def write_packed(path: Path, rows: Iterable[Row]) -> None:
 
 
 def packed_beside(result: Path) -> Path:
-    """Return where the packed lines of the file of a result are, if there are any."""
+    """Return the path of the packed lines of a result's file."""
     return result.with_name(result.name.removesuffix(".json") + PACKED)
 
 
 def lines_beside(result: Path) -> list[Path]:
     """Return the file with the lines of a result: one or none.
 
-    Packed lines come first, which were written with the result. The evaluation may
-    have gone on since then.
+    Packed lines have priority, because they were written with the result, while the
+    evaluation may have continued since then.
 
     Args:
-        result: Its file, ``summary.json`` or ``NAME.json``.
+        result: File of the result, ``summary.json`` or ``NAME.json``.
     """
     if result.name == SUMMARY:
         found = [result.with_name(EPISODES)]
@@ -158,28 +158,28 @@ def lines_beside(result: Path) -> list[Path]:
 
 
 def result_beside(lines: Path) -> Path:
-    """Return the file of the result that lines lie beside, if there is one."""
+    """Return the path of the result that belongs to a file of lines."""
     if lines.name.endswith(PACKED):
         return lines.with_name(lines.name.removesuffix(PACKED) + ".json")
     own, folder = lines.with_name(SUMMARY), lines.parent
     if folder.name in ("", ".."):
-        # The current folder and the one above are written without their names.
+        # Relative paths such as "." have no name.
         folder = folder.resolve()
-    # A reproduction keeps its summary beside the folder.
+    # A reproduction writes its summary beside the folder.
     return own if own.is_file() else folder.with_name(f"{folder.name}.json")
 
 
 def is_lines(path: Path) -> bool:
-    """Whether a path is named as lines are."""
+    """Return whether a path has the name of a file of lines."""
     return path.name == EPISODES or path.name.endswith(PACKED)
 
 
 def lines_in(path: Path) -> list[Path]:
-    """Return the files of lines that somebody means, each result's once.
+    """Return the files of lines of a path, one for each result.
 
     Args:
-        path: Lines; the result that they lie beside, ``seed-0.json`` or ``seed-0``; or
-            a folder that holds some at any depth.
+        path: A file of lines; their result, ``seed-0.json`` or ``seed-0``; or a folder
+            with such files at any depth.
     """
     if is_lines(path):
         return [path]
@@ -198,10 +198,10 @@ def lines_at(path: Path) -> Path:
     """Return the lines of one result.
 
     Args:
-        path: As for :func:`lines_in`, but of a folder with ``episodes.jsonl`` these.
+        path: As for :func:`lines_in`; in a folder ``episodes.jsonl`` has priority.
 
     Raises:
-        DatasetError: There are none, or those of several results.
+        DatasetError: There are no lines, or those of several results.
     """
     own = path / EPISODES
     if own.is_file():
@@ -209,9 +209,9 @@ def lines_at(path: Path) -> Path:
     found = lines_in(path)
     if not found:
         raise DatasetError(
-            f"There are no episodes in {path}: neither {EPISODES}, which 'lemma "
-            f"evaluate' writes, nor NAME{PACKED}, which lies beside a result of "
-            "'lemma reproduce'. The command of the result makes them again."
+            f"There are no episodes in {path}: neither {EPISODES} of 'lemma evaluate' "
+            f"nor NAME{PACKED} of 'lemma reproduce'. The command in the result "
+            "creates them again."
         )
     if len(found) > 1:
         named = ", ".join(str(result_beside(file)) for file in found[:_MOST_NAMED])
@@ -233,10 +233,10 @@ def _text(rows: Iterable[Row]) -> str:
 
 
 def _lzma() -> ModuleType:
-    """Return the module of the standard library, which some Pythons are built without.
+    """Return the module ``lzma`` of the standard library.
 
     Raises:
-        DatasetError: This one is.
+        DatasetError: This Python was built without it.
     """
     try:
         import lzma  # noqa: PLC0415

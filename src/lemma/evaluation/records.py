@@ -1,8 +1,8 @@
-"""Records that all the rest reads and writes: what is in a line, and in a note.
+"""Schemas of the files of a result: lines of episodes and settings.
 
-``episodes.jsonl`` holds one line per episode, ``about.json`` what decides them, and
-``summary.json`` what was counted of them; :mod:`lemma.evaluation.lines` reads and
-writes the lines. Files may come from anywhere, so their content is checked.
+``episodes.jsonl`` has one line per episode, ``about.json`` the settings, and
+``summary.json`` the counts; :mod:`lemma.evaluation.lines` reads and writes the lines.
+Files are not trusted, so their content is checked.
 """
 
 import math
@@ -16,74 +16,81 @@ from msgspec import Meta
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
-from lemma.evaluation.line_parts import Names, Poses, Strict, Symbols, Together
+from lemma.evaluation.line_parts import (
+    Names,
+    PairRecord,
+    Poses,
+    Strict,
+    Symbols,
+    Together,
+)
 from lemma.tasks.instance import OWN_SPLIT, SPLITS
 from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import task_rank
 from lemma.tasks.suite import FREE_SPLIT
+from lemma.tasks.teams.pairs import PAIRS
 
 EPISODES = "episodes.jsonl"
 ABOUT = "about.json"
 SUMMARY = "summary.json"
 PACKED = ".jsonl.xz"
-"""End of the name of packed lines, which are small enough to be committed."""
+"""Suffix of files of packed lines, which are small enough to be committed."""
 PROTOCOL_VERSION = 3
-"""Version of the rules by which episodes are played and judged: since 2 there are a
-strict and a lenient verdict, since 3 nothing may be thrown, and progress is counted in
-stages."""
+"""Version of the rules of episodes. Version 2 introduced strict and lenient verdicts;
+version 3 forbids throwing, and counts progress in stages."""
 RESULT_VERSION = "3"
 """Version of the summaries."""
 WALL_CLOCK = ("wall_s",)
 """Fields of an episode's line that depend on the machine."""
 STATE = "state_sha256"
-"""Field of both verdicts of a line: SHA-256 of the simulator's whole state at that end.
-Lines of earlier releases have none, so digests of results leave it out."""
+"""Field of both verdicts of a line: SHA-256 of the simulator's final state. Lines of
+earlier releases have none, so digests of results leave it out."""
 POLICY_ERROR = "policy_error"
-"""Why an episode failed whose policy did."""
+"""Reason of a failure by a fault of the policy."""
 PROTECTIVE_STOP = "protective_stop"
-"""Why an episode failed strictly whose policy sent a robot to what it cannot do."""
+"""Reason of a strict failure by a sub-task that its robot cannot do."""
 POSE_TOLERANCE_MM = 20.0
-"""A pose further off than this is missed: a cube that is held, or laid on another, so
-far off its middle may fall."""
+"""A pose with a larger error is a miss: a cube that is held or placed this far off its
+center may fall."""
 
 Row = Mapping[str, Any]
-"""One episode, as it stands in ``episodes.jsonl``; :class:`_Line` names its fields."""
+"""Line of one episode in ``episodes.jsonl``; :class:`_Line` has its fields."""
 
 EpisodeKey = tuple[str, str, int]
-"""Kind of instruction, task and number: which episode of a result it is."""
+"""Kind of instruction, task and index, which identify an episode of a result."""
 
 
 class Deviation(StrEnum):
     """Difference of a sub-task from the expert's decision in the same state."""
 
     NONE = ""
-    """In nothing: it is the same in symbols."""
+    """The symbolic sub-tasks are equal."""
     ROBOT = "robot"
-    """Another robot should do this; now or later in the expert's plan."""
+    """The expert's plan has the sub-task with another robot, now or later."""
     ORDER = "order"
-    """It is in the expert's plan, but further on."""
+    """The expert's plan has the sub-task later."""
     PRIMITIVE = "primitive"
-    """Another primitive is due; acting where all is done counts here."""
+    """The expert's primitive differs; also for a sub-task after the goal holds."""
     OBJECT = "object"
-    """The primitive is right, what is picked or where it goes is not."""
+    """The primitive is equal, but the picked object or the place differs."""
 
 
 class Feedback(Strict):
-    """Judgement of the expert on a decision, before it is carried out."""
+    """The expert's judgement of a decision, before its execution."""
 
     expected: Symbols
     """The expert's own decision; ``stop`` if the goal holds, or no plan is left."""
     left: int | None
-    """Sub-tasks of the expert's plan; None where there is no plan."""
+    """Number of sub-tasks of the expert's plan; None without a plan."""
     departure: Deviation
     able: bool | None
-    """Whether the robot could do it now; None where none of the robots could."""
+    """Whether the robot can do it now; None if no robot can."""
     pick_error_mm: float | None
-    """Distance of the pick from the middle of the cube that is meant; None for the
-    stick, which can be grasped along its handle."""
+    """Distance of the pick from the center of its cube; None for the stick, which has
+    grasps along its handle."""
     place_error_mm: float | None
-    """Distance of a ``move``'s place from the middle of the pad or cube that is meant;
-    None for the shared region and for tools, which leave a choice."""
+    """Distance of a ``move``'s place from the center of its pad or cube; None for the
+    shared region and for tools, without a single right place."""
 
 
 class _Step(Symbols, kw_only=True):
@@ -95,13 +102,13 @@ class _Step(Symbols, kw_only=True):
     fell: Names
     expert: Feedback
     waited_s: float | None = None
-    """Time in which it waited for a sector [s]; only where robots act together."""
+    """Time of waiting for a sector [s]; only for robots that act together."""
     effect_s: float | None = None
-    """When its effect was first seen [s], if somebody looked for it."""
+    """Time at which its effect was first observed [s], if it was checked."""
 
 
 Steps = Annotated[list[_Step], Meta(max_length=200)]
-"""More than an episode has time for."""
+"""Sub-tasks; the bound is more than an episode has time for."""
 
 
 class _Coordination(Strict):
@@ -141,12 +148,12 @@ class _Control(Strict):
     mode: str
     hz: float
     actions: int
-    """Control steps."""
+    """Number of control steps."""
     asked: int
-    """How often the policy was."""
+    """Number of the policy's decisions."""
     events: list[_Event]
     touched: Names
-    """Cubes that the goal moves and that a hand or the stick has touched."""
+    """Cubes of the goal that a hand or the stick touched."""
     fallen: Names
 
 
@@ -165,7 +172,7 @@ class _Stages(Strict):
 
 
 class _Verdict(Strict, kw_only=True):
-    """The strict verdict of an episode, or that after it went on."""
+    """The strict or the lenient verdict of an episode."""
 
     success: bool
     progress: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -179,12 +186,12 @@ class _Verdict(Strict, kw_only=True):
     planning: _Planning | None = None
     """Effort of the decisions; only for policies that count it."""
     state_sha256: str | None = None
-    """Digest of the last state, which depends on all earlier ones; None in lines of
+    """Digest of the final state, which depends on all earlier ones; None in lines of
     earlier releases."""
 
 
 class _Line(_Verdict, kw_only=True):
-    """The fields of an episode's line: the strict verdict, with the lenient in it."""
+    """The fields of an episode's line: the strict verdict and the lenient one."""
 
     protocol: int
     benchmark: str
@@ -201,14 +208,16 @@ class _Line(_Verdict, kw_only=True):
     coordination: _Coordination
     left: int | None
     lenient: _Verdict | None
-    """None if it was played strictly alone."""
+    """None if only the strict episode was played."""
     control: _Control | None = None
     """Only for policies at control level."""
     together: Together | None = None
-    """Only where robots act at the same time."""
+    """Only for robots that act together."""
+    pair: PairRecord | None = None
+    """Only in the split of pairs of which one cannot be done."""
     wall_s: float = 0.0
     keeps_state: bool = False
-    """Whether the policy says that it remembers other episodes."""
+    """Whether the policy keeps state from one episode to the next."""
 
 
 class _Policy(msgspec.Struct):
@@ -239,17 +248,17 @@ class _About(msgspec.Struct):
 
 
 def key_of(row: Row) -> EpisodeKey:
-    """Return which episode a line is of: kind of instruction, task and number."""
+    """Return kind of instruction, task and index of a line's episode."""
     return row["instruction_kind"], row["task"], row["index"]
 
 
 def enough(left: int | None) -> float:
-    """Return how many sub-tasks are left; no number is enough where no plan exists."""
+    """Return the number of remaining sub-tasks; infinity without a plan."""
     return math.inf if left is None else left
 
 
 def place_of(row: Row) -> tuple[Any, ...]:
-    """Return what lines are ordered by: kind, task, number."""
+    """Return the sort key of a line: kind, task, index."""
     kind, task, index = key_of(row)
     return EVALUATION_KINDS.index(kind), task_rank(task), index
 
@@ -261,7 +270,7 @@ def older_versions(
 
     Args:
         weights: By name of the model, as in ``about.json``.
-        benchmark: The version that is played.
+        benchmark: The version of the evaluation.
     """
     known = {
         one.get("data", {}).get("benchmark", benchmark) for one in weights.values()
@@ -276,7 +285,7 @@ def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
         weights: By name of the model, as in ``about.json``.
 
     Raises:
-        DatasetError: Its parts were trained with different seeds.
+        DatasetError: The policy's parts were trained with different seeds.
     """
     known = {name: entry["seed"] for name, entry in weights.items() if "seed" in entry}
     seeds = set(known.values())
@@ -290,13 +299,13 @@ def training_seed(weights: Mapping[str, Mapping[str, Any]]) -> int:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """Return what decides the episodes of a result.
+    """Return the settings of a result.
 
     Args:
         path: Folder of the result; or its lines, packed or not.
 
     Raises:
-        DatasetError: The note is missing or damaged.
+        DatasetError: The file of settings is missing or damaged.
     """
     if path.name == EPISODES:
         path = path.parent
@@ -310,14 +319,14 @@ def read_about(path: Path) -> dict[str, Any]:
 
 
 def check_about(about: object, path: Path) -> None:
-    """Check that a note holds what reports read of it.
+    """Check the fields of settings that reports read.
 
     Args:
         about: Content of the file.
         path: The file.
 
     Raises:
-        DatasetError: It does not.
+        DatasetError: A field is missing or invalid, or the split is unknown.
     """
     try:
         found = msgspec.convert(about, _About)
@@ -325,19 +334,18 @@ def check_about(about: object, path: Path) -> None:
         raise DatasetError(
             f"{path} is damaged: {error} of 'about'. Delete it and evaluate again."
         ) from error
-    splits = (*SPLITS, FREE_SPLIT, OWN_SPLIT)
+    splits = (*SPLITS, FREE_SPLIT, PAIRS, OWN_SPLIT)
     if found.split not in splits:
         raise DatasetError(
-            f"{path} is of a split that is unknown here: {found.split!r}. Known: "
-            f"{', '.join(splits)}."
+            f"{path} has an unknown split: {found.split!r}. Known: {', '.join(splits)}."
         )
 
 
 def check_line(row: object) -> None:
-    """Check that a line holds what is read of it.
+    """Check the fields of a line.
 
     Raises:
-        ValueError: It does not.
+        ValueError: A field is missing or invalid, or fields contradict each other.
     """
     line = msgspec.convert(row, _Line)
     if line.instruction_kind not in EVALUATION_KINDS:

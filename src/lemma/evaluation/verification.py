@@ -1,8 +1,9 @@
-"""Results checked by playing their recorded decisions again, without the policy.
+"""Verification of results by executing their recorded decisions again.
 
-The simulator is deterministic and lines hold every sub-task with its poses, so what an
-episode came to can be computed again: a line whose outcome was changed differs. This
-shows what the decisions lead to. It cannot show who made them.
+The simulator is deterministic, and lines have every sub-task with its poses. So the
+outcome of an episode can be computed without the policy, and a line with a changed
+outcome differs. The verification proves the outcome of the decisions, but not which
+policy made them.
 """
 
 import random
@@ -39,32 +40,33 @@ _MOST_PER_EPISODE = 3
 _SAME = ("benchmark", "split", "perturb_start")
 """Fields that lines share with the settings of their result."""
 _MOST_SUMMARY_MB = 10.0
-"""Size of the files beside the lines; those of a published result have 0.03 MB."""
+"""Largest size of the files beside the lines; those of a published result have 0.03
+MB."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """Whether a result stands, and why not."""
+    """Outcome of the verification of a result."""
 
     lines: Path
     """The file of its episodes."""
     problems: tuple[str, ...]
-    """Why it does not stand, in sentences; empty if it does."""
+    """Sentences about all problems; empty if the result is verified."""
     episodes: int = 0
-    """How many it has."""
+    """Number of its episodes."""
     played: int = 0
-    """How many of them were played again."""
+    """Number of episodes that were executed again."""
     complete: bool = False
-    """Whether it has all test episodes of the suite, with the kinds that it names."""
+    """Whether it has all test episodes of the suite, with its kinds of instructions."""
     knows_truth: bool = False
-    """Whether an oracle or ground-truth allocation has a part in its policy."""
+    """Whether its policy has an oracle or ground-truth allocation."""
     digest: str = ""
-    """SHA-256 of its lines, as its summary says."""
+    """SHA-256 of its lines, from its summary."""
     policy: str = ""
 
     @property
     def ok(self) -> bool:
-        """Whether it stands."""
+        """Whether the result is verified."""
         return not self.problems
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,7 +79,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class Claim:
-    """A result as it was read: what it says, before any of it is believed."""
+    """The content of a result before its verification."""
 
     lines: Path
     about: Mapping[str, Any]
@@ -92,8 +94,8 @@ class Claim:
             lines: The file of its episodes.
 
         Raises:
-            DatasetError: A file is missing, damaged or too large, or the summary is not
-                what the lines give.
+            DatasetError: A file is missing, damaged or too large, or the summary does
+                not match the lines.
         """
         path = result_beside(lines)
         beside = (path, lines.with_name("about.json"))
@@ -112,9 +114,9 @@ class Claim:
 
     @property
     def knows_truth(self) -> bool:
-        """Whether an oracle or ground-truth allocation may have a part in the policy.
+        """Whether the policy may have an oracle or ground-truth allocation.
 
-        A class that was not kept in a process of its own may, whatever it says.
+        This includes every class that ran in the process of the simulator.
         """
         policy = self.about["policy"]
         beside = ":" in policy["name"] and policy.get("timeout_s") == 0.0
@@ -122,7 +124,7 @@ class Claim:
 
     @property
     def complete(self) -> bool:
-        """Whether these are all test episodes of the suite, with some kinds."""
+        """Whether the result has all test episodes of the suite, with some kinds."""
         counted = Counter(key_of(row)[:2] for row in self.rows)
         kinds = {kind for kind, _ in counted}
         whole = {(kind, task): SPLITS["test"] for kind in kinds for task in SUITE}
@@ -131,23 +133,23 @@ class Claim:
         return plain and counted == whole and not moved
 
     def problems(self) -> Iterator[str]:
-        """Yield what contradicts itself, in sentences; nothing is played for it."""
+        """Yield a sentence for each contradiction, without executing episodes."""
         about, policy = self.about, self.about["policy"]
         if about["protocol"] != quote():
             yield (
-                f"It follows protocol {about['protocol'][:12]}, and this installation "
+                f"It follows protocol {about['protocol'][:12]}, but this installation "
                 f"follows {quote()[:12]} ({NAME})."
             )
         here = quote_suites(row["task"] for row in self.rows)
         for suite in other_suites(about, here):
-            yield f"Its lists of the suite {suite!r} are others than those here."
+            yield f"Its lists of the suite {suite!r} differ from the installed ones."
         if about["benchmark"] != BENCHMARK_VERSION or about["horizon_s"] != HORIZON_S:
-            yield "It is of another benchmark or horizon than this installation."
+            yield "Its benchmark version or horizon differs from this installation's."
         if _says_oracle(policy) and not about.get("oracle"):
-            yield f"It says that {policy['name']} is no oracle, and it knows the truth."
+            yield f"{policy['name']} knows the truth, but is not marked as an oracle."
         unnamed = [part for part in learned_parts(policy["name"]) if part]
         if unnamed and not about["weights"]:
-            yield f"It names no weights of {', '.join(unnamed)}."
+            yield f"It lists no weights of {', '.join(unnamed)}."
         if self.result is not None:
             yield from self._of_command(self.result)
         yield from self._of_lines()
@@ -155,7 +157,7 @@ class Claim:
     def _of_command(self, result: Result) -> Iterator[str]:
         policy = dict(self.about["policy"])
         if ("--gta" in result.command.split()) > policy["gta"]:
-            yield "Its command asks for ground-truth allocation, which it does not say."
+            yield "Its command has ground-truth allocation, but its settings do not."
         experiment = EXPERIMENTS.get(result.experiment)
         said = (policy, self.about["language"], self.about["perturb_start"])
         if experiment is not None and said != experiment.decides:
@@ -175,15 +177,15 @@ class Claim:
             if odd:
                 yield f"{_named(row)} has another {odd[0]} than the result."
             elif (row["lenient"] is not None) != lenient:
-                yield f"{_named(row)} has not the verdicts that the result names."
+                yield f"{_named(row)} has other verdicts than the result."
             elif (team is not None) != together:
-                yield f"{_named(row)} has robots that act otherwise than the result."
+                yield f"{_named(row)} has another way of acting than the result."
             elif team is not None and team["expert_poses"] > knows:
-                yield f"{_named(row)} has the expert's poses, and says no oracle."
+                yield f"{_named(row)} has the expert's poses, but is not an oracle's."
             elif control and not commands:
-                yield f"{_named(row)} holds no motor commands, and the result does."
+                yield f"{_named(row)} has no motor commands, but the result has."
             elif commands and not control:
-                yield f"{_named(row)} is of control level, and the result is not."
+                yield f"{_named(row)} is of control level, but the result is not."
             else:
                 continue
             return
@@ -201,7 +203,7 @@ def _level(policy: Mapping[str, Any]) -> str:
 
 
 def _says_oracle(policy: Mapping[str, Any]) -> bool:
-    """Whether what a result calls its policy says that it is given the truth."""
+    """Return whether the name or the options of a policy imply privileged state."""
     name = policy["name"]
     alone = "+" not in name and "://" not in name and is_planner(name)
     parts = parts_of(name)
@@ -214,10 +216,10 @@ def _named(row: Row) -> str:
 
 
 def results_in(paths: Sequence[Path]) -> list[Path]:
-    """Return the files of episodes that somebody means, each once.
+    """Return the files of episodes at some paths, without duplicates.
 
     Raises:
-        DatasetError: One path has none.
+        DatasetError: A path has no episodes.
     """
     found: dict[Path, Path] = {}
     for path in paths:
@@ -233,15 +235,16 @@ def verify(
     seed: int = 0,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Verification:
-    """Play the decisions of a result again and compare everything that its lines say.
+    """Execute the decisions of a result again, and compare the lines.
 
-    Outcomes, times, poses' errors and hashes of states must be equal to the bit. What
-    the policy failed of, what its decisions took, and explanations are not compared.
+    Outcomes, times, poses' errors and hashes of states must be equal to the bit. Faults
+    of the policy, the effort of its decisions, and explanations are not compared.
 
     Args:
         lines: The file of its episodes.
         engine: Workers that run the jobs.
-        episodes: Only so many of each task and kind, drawn at random; all if None.
+        episodes: Number of episodes of each task and kind, drawn at random; all if
+            None.
         seed: Seed of the draw.
         advance: Called with the number of episodes played since the last call.
     """
@@ -261,7 +264,7 @@ def verify(
         advance(len(found))
     problems += differing[:_MOST_NAMED]
     if len(differing) > _MOST_NAMED:
-        problems.append(f"{len(differing)} of {len(chosen)} episodes differ in all.")
+        problems.append(f"In total {len(differing)} of {len(chosen)} episodes differ.")
     return Verification(
         lines,
         tuple(problems),
@@ -275,7 +278,7 @@ def verify(
 
 
 def copies(found: Sequence[Verification]) -> list[Verification]:
-    """Return results, where those with the very lines of an earlier policy fail."""
+    """Return results; those with the same lines as an earlier policy's fail."""
     first: dict[str, Verification] = {}
     checked = []
     for one in found:
@@ -299,7 +302,7 @@ def _drawn(rows: Sequence[Row], episodes: int | None, seed: int) -> list[Row]:
 
 
 def check_episodes(about: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
-    """Play episodes again; return in what each differs, ``""`` where in nothing."""
+    """Execute episodes again; return the differences of each, ``""`` for none."""
     return [_check(about, row) for row in rows]
 
 
@@ -307,7 +310,7 @@ def _check(about: Mapping[str, Any], row: Row) -> str:
     try:
         instance = start_of(row, about)
         if (row["task"], row["index"]) != (instance.task, instance.index):
-            return f"{_named(row)} is not of the instance that was played."
+            return f"{_named(row)} does not match its instance."
         played = play_again(row, instance, about)
         again = msgspec.json.decode(msgspec.json.encode(played))
     except (LemmaError, ValueError) as error:

@@ -47,6 +47,7 @@ _SWUNG_RAD = 0.25
 _TIMEOUT_S = 7.0
 _STALL_S = 1.0
 _STALL_PROGRESS_M = 0.001
+_TRY_M = 0.02  # Rise of a gripper until it has felt that its load is too heavy.
 _GRASP_LEAST_M = 0.015
 """Opening below which the fingers hold no object: all objects are wider."""
 _OPEN_M = FINGER_OPENING_M - 0.005
@@ -94,6 +95,15 @@ class Moves:
             raise SkillFailure(
                 Outcome.MISSED_GRASP, f"The fingers of {self._name} closed on nothing."
             )
+        yield from self._feel_weight(low)
+
+    def _feel_weight(self, low: Stand) -> Motion:
+        """Raise ``OVERLOAD`` if the grasped object is too heavy, after a lift."""
+        robot, spec = self.arm.robot.placement, self.scene.spec
+        held = self.scene.held().get(self._name)
+        if held and (why := robot.overload(self._name, spec.placement(held))):
+            yield from self.rise(low, low[2] + _TRY_M)
+            raise SkillFailure(Outcome.OVERLOAD, why)
 
     def release(self, stand: Stand) -> Motion:
         """Open the fingers and rise."""

@@ -18,6 +18,8 @@ class Outcome(StrEnum):
     """The robot's arm cannot reach a pose of the sub-task."""
     NOTHING_TO_PICK = "nothing_to_pick"
     """There is no object at the pick pose that the gripper can grasp."""
+    OVERLOAD = "overload"
+    """The grasped object is too heavy for the robot's hand or its arm."""
     MISSED_GRASP = "missed_grasp"
     """The fingers closed without an object between them."""
     DROPPED = "dropped"
@@ -41,7 +43,13 @@ class Outcome(StrEnum):
 
 
 REFUSED = frozenset(
-    {Outcome.INVALID, Outcome.UNREACHABLE, Outcome.NOTHING_TO_PICK, Outcome.FALLEN}
+    {
+        Outcome.INVALID,
+        Outcome.UNREACHABLE,
+        Outcome.NOTHING_TO_PICK,
+        Outcome.OVERLOAD,
+        Outcome.FALLEN,
+    }
 )
 """Outcomes of infeasible sub-tasks: a real arm would make a protective stop."""
 

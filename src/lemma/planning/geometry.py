@@ -186,6 +186,7 @@ class SceneGeometry:
         }
         """Free places by region, where robots can put objects down for each other."""
         self._gap_m = spec.gap_m
+        self._placed = {placed.name: placed for placed in spec.objects}
         self._kinds = {placed.name: kind_of(placed.name) for placed in spec.objects}
         self._drags: dict[_DragKey, Drag | None] = {}
 
@@ -198,6 +199,10 @@ class SceneGeometry:
         """Return whether a robot can grasp and carry at a position."""
         placed = self._robots[robot]
         return reach_of(placed.arm).margin(placed.base, pose.x, pose.y) > 0.0
+
+    def overload(self, robot: str, item: str) -> str:
+        """Return why an object is too heavy for a robot; empty if it is not."""
+        return self._robots[robot].overload(robot, self._placed[item])
 
     def drag(self, subtask: SubTask, now: SymbolicState) -> Drag | None:
         """Return the best drag for a cube, or None if there is none.

@@ -58,7 +58,8 @@ def ground_or_refuse(
     Returns:
         The grounding; or a result of zero duration: ``fallen`` if an object that it
         needs has fallen off the table, ``invalid`` if no robot could do it,
-        ``unreachable`` if this robot cannot.
+        ``overload`` if this robot reaches the object but cannot carry it,
+        ``unreachable`` if it cannot do it for another reason.
 
     Raises:
         UnknownNameError: There is no such robot in this scene.
@@ -72,6 +73,10 @@ def ground_or_refuse(
     option = grounder.ground(subtask, now)
     if option is not None:
         return option
+    if subtask.primitive in (Primitive.MOVE, Primitive.LIFT):
+        too_heavy = grounder.overload(subtask.robot, subtask.pick)
+        if too_heavy and grounder.reaches(subtask.robot, now.poses[subtask.pick]):
+            return SkillResult(Outcome.OVERLOAD, too_heavy, 0.0)
     reason = _why_unreachable(subtask, now, grounder)
     return SkillResult(Outcome.UNREACHABLE, reason, 0.0)
 

@@ -76,9 +76,9 @@ def to_pddl(
         grounder: Grounder of the same scene.
 
     Raises:
-        InvalidConfigError: The goal involves grippers or a plank, or has a rule, or no
-            plan reaches it with ``move`` alone; dragging with the stick has no symbolic
-            model.
+        InvalidConfigError: The goal involves grippers or a plank, or has a rule, a cube
+            is too heavy for a robot, or no plan reaches it with ``move`` alone;
+            dragging with the stick has no symbolic model.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
@@ -89,11 +89,17 @@ def to_pddl(
         isinstance(part, On) and kind_of(part.top).span_m is None
         for part in goal.conjuncts
     )
-    if not moves or not placed or goal.rule is not None:
+    heavy = any(
+        grounder.overload(robot, name)
+        for robot in grounder.robots
+        for name in now.supports
+    )
+    if not moves or not placed or goal.rule is not None or heavy:
         raise InvalidConfigError(
             f"{name} cannot be expressed in PDDL: no plan reaches its goal by moving "
-            "cubes alone. Choose an instance of a task without the stick, and without "
-            "grippers, a plank or a rule in its goal, such as relay."
+            "cubes alone, or a cube is too heavy for a robot. Choose an instance of a "
+            "task without the stick, and without grippers, a plank or a rule in its "
+            "goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

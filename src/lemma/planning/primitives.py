@@ -112,6 +112,8 @@ def ground_move(
     second: str | None = None
     if not geometry.reaches(subtask.robot, start):
         return None
+    if geometry.overload(subtask.robot, cube):
+        return None
     if subtask.place in geometry.regions:
         obstacles = geometry.discs(now, but=cube)
         if STICK in now.poses:
@@ -196,6 +198,8 @@ def ground_hand(
     if now.on_top_of(item) is not None or geometry.margin(
         subtask.robot, now.poses[item]
     ) <= (0.0):
+        return None
+    if lifts and geometry.overload(subtask.robot, item):
         return None
     pick = geometry.grasp(subtask.robot, item, now)
     if pick is None:

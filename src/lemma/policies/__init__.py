@@ -1,1 +1,1 @@
-"""Policies that see, read and act: planners, grounders, and what trains them."""
+"""Policies: planners, grounders, models of both levels, and their training."""

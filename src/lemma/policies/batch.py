@@ -27,9 +27,9 @@ from lemma.tasks.subtask import PAPER_PRIMITIVES
 PRIMITIVES = tuple(map(str, PAPER_PRIMITIVES))
 STOP = PRIMITIVES.index("stop")
 NOBODY = -1
-"""Number of a robot or entity that is not there: that of ``stop``, or padding."""
+"""Number for no robot and no entity, as in ``stop`` and in padding."""
 MAX_PAST = 12
-"""Past decisions that a batch holds; older ones are forgotten."""
+"""Largest number of past decisions in a batch; older ones are left out."""
 
 _ARMS = tuple(ARMS)
 _SEEN = ("joints", "opening_m")
@@ -40,32 +40,32 @@ _COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Frames, in training with labels; B frames, R robots. Tensors on one device."""
+    """B frames of R robots, with labels in training. Tensors are on one device."""
 
     rgb: Tensor
     """(B, rows, columns, 3) uint8."""
     height_m: Tensor
-    """(B, rows, columns) float32; 0 where no camera sees."""
+    """(B, rows, columns) float32 [m]; 0 in cells that no camera sees."""
     coverage: Tensor
-    """(B, rows, columns) bool."""
+    """Whether a camera sees the cell, (B, rows, columns) bool."""
     joints: Tensor
     """(B, R, 6) float32 [rad]."""
     opening_m: Tensor
     """(B, R) float32 [m]."""
     past: Tensor
     """Decisions that were executed before this one, oldest first, padded with -1 at
-    the end: (B, MAX_PAST, 4) int64, columns robot, primitive, pick, place. Where an
-    execution was perturbed, that is not what the expert would have done."""
+    the end: (B, MAX_PAST, 4) int64, columns robot, primitive, pick, place. In perturbed
+    executions they differ from the expert's decisions."""
     instructions: list[str]
     sub_instructions: list[str]
-    """The next sub-task in words; in use, that which shall be grounded."""
+    """The next sub-task in words; at inference, the sub-task to ground."""
     raster: Raster
     entities: EntitySet = BENCHMARK
     """Entities that have a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
-    """Decisions of the expert, and the truth; None when a policy is used."""
+    """Decisions of the expert and the true state; None at inference."""
     text_tensors: Mapping[str, Tensor] = field(default_factory=dict)
-    """Texts and names as tensors, from the model's method of this name; or none."""
+    """Texts and names as tensors, from the model's method of this name, if any."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -74,35 +74,36 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The expert's next decision, and where everything is."""
+    """The expert's next decision and the true poses, in the world frame."""
 
     episode: Tensor
     """Number of the episode in the data set, (B,)."""
     keyframe: Tensor
     """Number of the frame in its episode, from 0, (B,)."""
     decision: Tensor
-    """(B, 4) int64: robot, primitive, pick, place; -1 but the primitive for stop."""
+    """(B, 4) int64: robot, primitive, pick, place. For ``stop`` all but the primitive
+    are -1."""
     pick_pose: Tensor
-    """Gripper where it closes: x, y [m], yaw [rad], (B, 3); NaN for stop."""
+    """Gripper's pose where it closes: x, y [m], yaw [rad], (B, 3); NaN for stop."""
     place_pose: Tensor
-    """Gripper where the motion ends, (B, 3); NaN for stop."""
+    """Gripper's pose where the motion ends, (B, 3); NaN for stop."""
     objects: Tensor
     """True position [m] and quaternion wxyz of each entity, (B, E, 7); NaN if none."""
     bases: Tensor
     """x, y [m], yaw [rad] of each robot, (B, R, 3). Never an input."""
     gap_m: Tensor
-    """World x from and to which the table is missing [m], (B, 2); NaN if it is not."""
+    """World x of both edges of the gap in the table [m], (B, 2); NaN without a gap."""
     arms: Tensor
-    """Number among :data:`ARMS` of each robot's type, (B, R). Never an input."""
+    """Index into :data:`ARMS` of each robot's type, (B, R). Never an input."""
     tasks: list[str]
     goals: list[GoalPairs]
     """The (top, bottom) entities that the instruction asks for."""
     robot_colors: list[tuple[str, ...]]
     perturbed: Tensor
-    """Whether the episode was perturbed, so that its frames do not follow from its
-    first one and the decisions, (B,) bool."""
+    """Whether the frames also depend on a perturbation, (B,) bool."""
     kind_and_height: Tensor | None = None
-    """Of key poses: number in ``KINDS``, height [m], (B, 2); both poses are theirs."""
+    """Only in data of key poses: index into ``KINDS`` and height [m], (B, 2);
+    ``pick_pose`` and ``place_pose`` are then the key pose."""
 
 
 class Frames:
@@ -115,17 +116,17 @@ class Frames:
         entities: EntitySet = BENCHMARK,
         recorded: Sequence[str] = ENTITIES,
     ) -> None:
-        """Move maps and labels to a device: 5 bytes a cell.
+        """Move maps and labels to a device; they take 5 bytes per cell.
 
         Args:
-            maps: Read with the columns of :meth:`load`.
-            device: Where batches shall be made.
+            maps: Maps with the columns of :meth:`load`.
+            device: Device of the tensors.
             entities: Entities, in the order of their numbers.
             recorded: Entities in the order of the column ``objects``.
 
         Raises:
-            InvalidConfigError: Something is moved that has no number.
-            DatasetError: Something is on a table that has none.
+            InvalidConfigError: A decision moves an entity without a number.
+            DatasetError: A scene has an entity without a number.
         """
         columns, self.entities = _with_key_poses(maps.columns), entities
         self.raster = maps.raster
@@ -179,22 +180,21 @@ class Frames:
         *,
         shared: bool = False,
     ) -> "Frames":
-        """Read what ``lemma render --form keyframes`` wrote.
+        """Read a folder that ``lemma render --form keyframes`` wrote.
 
         Args:
             folder: The rendered keyframes.
             split: Name of a split.
             tasks: Names of tasks; all if empty.
-            device: Where batches shall be made.
+            device: Device of the tensors.
             entities: Entities, in the order of their numbers.
             shared: Whether processes of this machine share the maps; see
                 :class:`~lemma.dataset.rendered.dataset.MapsInMemory`.
 
         Raises:
-            DatasetError: Files are missing, damaged or of another version, scenes do
-                not all have the same number of robots, or something on a table has no
-                number.
-            InvalidConfigError: Something is moved that has no number.
+            DatasetError: Files are missing, damaged or of another version, scenes have
+                different numbers of robots, or a scene has an entity without a number.
+            InvalidConfigError: A decision moves an entity without a number.
         """
         columns: tuple[str, ...] = _COLUMNS
         header = keyframe_shards(Path(folder), split, tasks)[0].header
@@ -221,22 +221,22 @@ class Frames:
 
     @property
     def robots(self) -> int:
-        """Robots of every scene."""
+        """Number of robots of every scene."""
         return self._tensors["arms"].shape[1]
 
     def batch(
         self, indices: Tensor | Sequence[int], device: torch.device | None = None
     ) -> Batch:
-        """Return frames with labels, instructions as they were recorded.
+        """Return frames with labels and the recorded instructions.
 
         Args:
-            indices: Which frames, (B,), in any order.
-            device: Where the batch shall be; where the frames are, if None.
+            indices: Indices of the frames, (B,), in any order.
+            device: Device of the batch; that of the frames if None.
         """
         device = device or self.device
         rows = torch.as_tensor(indices, device=self.device)
         listed = rows.tolist()
-        # Heights travel as they are stored: in metres they have twice as many bytes.
+        # Send heights as 16-bit integers: float32 has twice as many bytes.
         rgb = _sent(self.rgb.index_select(0, rows), device)
         height = _sent(self.height.index_select(0, rows), device)
         coverage = height != 0
@@ -264,13 +264,13 @@ class Frames:
 
 
 def _with_key_poses(columns: dict[str, Any]) -> dict[str, Any]:
-    """Return columns in which key poses, if there are any, are the poses."""
+    """Return columns whose pick and place poses are the key poses, if there are any."""
     if "kind" not in columns:
         return columns
     x, y, z, yaw = np.stack(list(columns["key_pose"])).T
     kinds = [KINDS.index(kind) for kind in columns["kind"]]
     pose, last = np.stack([x, y, yaw], 1), np.stack([kinds, z], 1)
-    # Other primitives have no number; the kind tells them apart.
+    # Other primitives have no number; the kind of key pose distinguishes them.
     known = [name if name in PRIMITIVES else "move" for name in columns["primitive"]]
     poses = {"pick_pose": pose, "place_pose": pose, "kind_and_height": last}
     return {**columns, **poses, "primitive": np.array(known, object)}
@@ -283,17 +283,17 @@ def batch_of(
     device: torch.device | str = "cpu",
     entities: EntitySet = BENCHMARK,
 ) -> Batch:
-    """Return what policies are given as a batch, without labels.
+    """Return inputs of a policy as a batch, without labels.
 
     Args:
         inputs: One per frame.
         raster: Raster of their maps.
         sub_instructions: Sub-instructions to ground, if any.
-        device: Where the batch shall be.
+        device: Device of the batch.
         entities: Entities, in the order of their numbers.
 
     Raises:
-        InvalidConfigError: Something was moved that has none.
+        InvalidConfigError: A past decision moved an entity without a number.
     """
     past = np.full((len(inputs), MAX_PAST, 4), NOBODY)
     for row, policy_input in enumerate(inputs):
@@ -331,14 +331,14 @@ def _moved(batch: Batch, device: torch.device) -> Batch:
 
 
 def _sent(tensor: Tensor, device: torch.device) -> Tensor:
-    """Return a tensor on a device, without waiting until it is there."""
+    """Copy a tensor to a device asynchronously."""
     if tensor.device.type == device.type:
         return tensor
     return tensor.pin_memory().to(device, non_blocking=True)
 
 
 def with_sub_instructions(batch: Batch) -> Batch:
-    """Return a labelled batch whose sub-instructions say what its labels say."""
+    """Return a labelled batch with its labels' sub-tasks as sub-instructions."""
     assert batch.labels is not None
     texts, places = [], batch.entities.places
     rows = batch.labels.decision.tolist()

@@ -1,4 +1,4 @@
-"""Classes by path, ``"package.module:Class"``, and by the short names of LeRobot's."""
+"""Classes by path, ``"package.module:Class"``, or by the short names for LeRobot."""
 
 import json
 import re
@@ -9,9 +9,9 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.plugins import import_from_here
 
 LEROBOT = "lerobot:"
-"""Begins the name of a checkpoint of LeRobot, ``"lerobot:CHECKPOINT"``."""
+"""Prefix of the name of a LeRobot checkpoint, ``"lerobot:CHECKPOINT"``."""
 LEROBOT_PRIVILEGED = "lerobot-privileged:"
-"""Begins the name of one that gets the simulation's state: an oracle."""
+"""Prefix for a checkpoint that gets the simulation's state, an oracle."""
 _SECRET = re.compile(
     r"(?i)((api|access|auth|private|secret)[_-]?key|token|secret|passw(or)?d|passphrase|"
     r"credentials?|authorization|bearer)$"
@@ -24,7 +24,7 @@ _LEROBOT_CLASSES = {
 
 
 def checkpoint_of(name: str) -> str | None:
-    """Return which checkpoint of LeRobot a policy's name means; None if it is none."""
+    """Return the LeRobot checkpoint in a policy's name; None if there is none."""
     for prefix in _LEROBOT_CLASSES:
         if name.startswith(prefix):
             return name.removeprefix(prefix)
@@ -32,12 +32,12 @@ def checkpoint_of(name: str) -> str | None:
 
 
 def privileged(name: str) -> bool:
-    """Return whether a policy's name means a checkpoint that is an oracle."""
+    """Return whether a policy's name is that of a privileged LeRobot checkpoint."""
     return name.startswith(LEROBOT_PRIVILEGED)
 
 
 def class_of(name: str) -> Any:
-    """Return a class, or another callable that makes an object.
+    """Import a class or another factory.
 
     Args:
         name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
@@ -60,14 +60,14 @@ def class_of(name: str) -> Any:
 
 
 def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
-    """Return an object of a class.
+    """Instantiate a class.
 
     Args:
         name: ``"package.module:Class"``, or ``"lerobot:CHECKPOINT"``.
         arguments: Arguments of the class, by name.
 
     Raises:
-        InvalidConfigError: There is no such class, or it cannot be made.
+        InvalidConfigError: There is no such class, or its constructor fails.
     """
     check_no_secret(arguments or ())
     make = class_of(name)
@@ -87,7 +87,7 @@ def instance_of(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
 
 
 def secret_in(text: str) -> str | None:
-    """Return the first field of valid JSON that is a secret by its name, or None."""
+    """Return the name of the first field of valid JSON that looks like a secret."""
     found: list[str] = []
     json.loads(
         text, object_hook=lambda data: found.extend(filter(_SECRET.search, data))
@@ -96,13 +96,13 @@ def secret_in(text: str) -> str | None:
 
 
 def check_no_secret(names: Iterable[str]) -> None:
-    """Check that no argument of a class is a secret, since results hold all arguments.
+    """Check that no argument's name looks like a secret; results list all arguments.
 
     Args:
         names: Names of the arguments.
 
     Raises:
-        InvalidConfigError: One is, by its name.
+        InvalidConfigError: A name looks like a secret.
     """
     for name in names:
         if _SECRET.search(name):

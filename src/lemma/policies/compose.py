@@ -1,7 +1,7 @@
-"""Policies from parts: any planner with any grounder, closed or open loop.
+"""Policies composed of any planner and any grounder, in closed or open loop.
 
-If a model does not read outcomes itself, another robot of the team tries a sub-task
-that was refused.
+For models that do not read outcomes, a wrapper gives a refused sub-task to another
+robot of the team.
 """
 
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ from lemma.tasks.subtask import Primitive, SubTask
 
 @dataclass(frozen=True)
 class PlannerWithGrounder(Composite):
-    """A policy of two levels (paper, section V)."""
+    """A two-level policy (paper, section V)."""
 
     planner: Planner
     grounder: Grounder
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Plan for all episodes at once, then ground for those that go on."""
+        """Plan for all episodes as a batch, then ground those that do not stop."""
         decisions = proposals(self.planner, inputs)
         subtasks = [decision.subtask for decision in decisions]
         going = [i for i, s in enumerate(subtasks) if s.primitive is not Primitive.STOP]
@@ -50,14 +50,14 @@ class PlannerWithGrounder(Composite):
 class MultiStep(Composite):
     """A planner that sees the first view only: the paper's multi-step planning.
 
-    The whole plan follows from the first image and the planner's own decisions,
-    whatever becomes of them.
+    The plan depends only on the first image and the planner's own decisions, not on
+    their outcomes.
     """
 
     planner: Planner
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
-        """Plan as if nothing had changed on the table."""
+        """Plan from the first view and the past decisions, without outcomes."""
         at_first = [_as_at_first(policy_input) for policy_input in inputs]
         return self.planner.plan(visible_to(self.planner, at_first))
 
@@ -70,17 +70,18 @@ def _as_at_first(policy_input: PolicyInput) -> PolicyInput:
 
 @dataclass(frozen=True)
 class RetryingPlanner(Composite):
-    """A planner that reads no outcomes, with the rule for refused sub-tasks.
+    """A planner that does not read outcomes, with a rule for refused sub-tasks.
 
-    A refused sub-task changed nothing, so the planner is asked again as if it had not
-    been tried, and what it decides on is given to the next robot of the team that was
-    not refused the same. When all were, it is told of everything and goes on.
+    A refused sub-task changes nothing in the scene. So the planner plans again without
+    the refused attempt in its input, and the sub-task goes to the next robot of the
+    team that has not refused it. Once all have refused, the planner gets all attempts
+    as input.
     """
 
     planner: Planner
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
-        """Return the planner's sub-tasks, each for a robot that was not refused it."""
+        """Return the planner's sub-tasks, each for a robot that has not refused it."""
         untried = [_as_untried(policy_input) for policy_input in inputs]
         decided = self.planner.plan(visible_to(self.planner, untried))
         return [
@@ -91,12 +92,12 @@ class RetryingPlanner(Composite):
 
 @dataclass(frozen=True)
 class RetryingPolicy(Composite):
-    """The same for a policy that plans and grounds at once: its poses remain."""
+    """:class:`RetryingPlanner` for a policy of one level; it keeps the poses."""
 
     policy: Policy
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the policy's decisions, each for a robot that was not refused it."""
+        """Return the policy's decisions, each for a robot that has not refused it."""
         untried = [_as_untried(policy_input) for policy_input in inputs]
         decided = self.policy.act(visible_to(self.policy, untried))
         found = []
@@ -110,7 +111,7 @@ class RetryingPolicy(Composite):
 
 
 def _refused(policy_input: PolicyInput) -> list[SubTask]:
-    """Return what was refused since anything was carried out, the last one first."""
+    """Return the sub-tasks refused since the last executed one, latest first."""
     found = []
     for step in reversed(policy_input.past):
         if step.outcome not in REFUSED:
@@ -120,7 +121,7 @@ def _refused(policy_input: PolicyInput) -> list[SubTask]:
 
 
 def _as_untried(policy_input: PolicyInput) -> PolicyInput:
-    """Return an input without the last refused sub-task, while robots are left."""
+    """Return an input without the refused sub-tasks, until all robots have refused."""
     refused = _refused(policy_input)
     same = 0
     while same < len(refused) and _is_alike(refused[same], refused[0]):
@@ -130,7 +131,7 @@ def _as_untried(policy_input: PolicyInput) -> PolicyInput:
 
 
 def _for_another(policy_input: PolicyInput, subtask: SubTask) -> SubTask:
-    """Return a sub-task for the next robot that was not refused it, if there is one."""
+    """Return a sub-task for the next robot that has not refused it, if any."""
     tried = {one.robot for one in _refused(policy_input) if _is_alike(one, subtask)}
     if subtask.robot not in tried:
         return subtask

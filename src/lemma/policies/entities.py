@@ -1,8 +1,8 @@
-"""The entities that a learned policy has numbers for: registered kinds by colors.
+"""The entities of a learned policy: registered kinds by colors.
 
-A model is made for a set of entities, by default all that are known when its training
-begins, and its weights name them. Properties of a thing, such as its
-height, is read from the record of its kind.
+A model has a fixed set of entities, by default all that are registered when its
+training begins, and its weights list them. Properties of an entity, such as its height,
+come from the record of its kind.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,7 +29,7 @@ from lemma.scene.objects.kind import ObjectKind
 
 @dataclass(frozen=True)
 class EntitySet:
-    """Entities by number: first what is moved, then what is fixed, last the stick."""
+    """Entities by number: first movable ones, then fixed ones, last the stick."""
 
     names: tuple[str, ...]
 
@@ -38,12 +38,12 @@ class EntitySet:
         """Return a set in the order of its numbers.
 
         Args:
-            names: Names of entities; all that are known now, if empty.
+            names: Names of entities; all registered ones if empty.
 
         Raises:
-            UnknownNameError: No registered color and kind make one of them.
-            InvalidConfigError: They are not different, or there is another tool than
-                the stick, or no stick, or nothing to move.
+            UnknownNameError: A name is no registered color and kind.
+            InvalidConfigError: Names repeat, the stick or a movable entity is missing,
+                or there is a tool besides the stick.
         """
         chosen = tuple(names) or known_entities()
         rank = {name: (k.tool, k.fixed) for name in chosen for k in (kind_of(name),)}
@@ -58,37 +58,37 @@ class EntitySet:
         return found
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of entities."""
         return len(self.names)
 
     @cached_property
     def kinds(self) -> tuple[ObjectKind, ...]:
-        """The kind of each."""
+        """The kind of each entity."""
         return tuple(map(kind_of, self.names))
 
     @cached_property
     def cargo(self) -> int:
-        """How many are there to be moved; they come first."""
+        """Number of movable entities; they come first."""
         return sum(kind.cargo for kind in self.kinds)
 
     @property
     def stick(self) -> int:
-        """Number of the stick: of things to move and fixed things there are so many."""
+        """Number of the stick, the last entity."""
         return len(self.names) - 1
 
     @property
     def shared(self) -> int:
-        """Number of the place that every robot reaches."""
+        """Number of the shared region, which every robot reaches."""
         return len(self.names)
 
     @cached_property
     def places(self) -> tuple[str, ...]:
-        """Where a sub-task may put something."""
+        """Names of the entities and of the region where a sub-task may place."""
         return (*self.names, SHARED)
 
     @cached_property
     def colors(self) -> tuple[str, ...]:
-        """The colors that may change places: everything colored comes in them."""
+        """The exchangeable colors: each colored kind has all of them."""
         colored = [e for e in map(entity_named, self.names) if e.color]
         kinds = {entity.kind.name for entity in colored}
         return tuple(
@@ -99,7 +99,10 @@ class EntitySet:
 
     @cached_property
     def colored_as(self) -> tuple[tuple[int, ...], ...]:
-        """Each entity's number if it had each of the colors; its own if it has none."""
+        """By entity and color, the number of that entity in that color.
+
+        For an entity without a color it is the entity's own number.
+        """
         found = []
         for number, name in enumerate(self.names):
             entity = entity_named(name)
@@ -110,7 +113,7 @@ class EntitySet:
 
     @cached_property
     def color_numbers(self) -> tuple[int, ...]:
-        """Which of the colors each entity has; 0 where that makes no difference."""
+        """Index into :attr:`colors` of each entity's color; 0 for one without color."""
         found = (entity_named(name).color for name in self.names)
         return tuple(
             self.colors.index(color) if color in self.colors else 0 for color in found
@@ -120,7 +123,7 @@ class EntitySet:
         """Return the number of an entity, or of ``shared``.
 
         Raises:
-            InvalidConfigError: It is none of these.
+            InvalidConfigError: The name is neither.
         """
         if name not in self.places:
             raise InvalidConfigError(
@@ -131,7 +134,7 @@ class EntitySet:
 
 
 BENCHMARK = EntitySet.of(ENTITIES)
-"""The benchmark's own."""
+"""The entities of the benchmark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,32 +142,33 @@ class Traits:
     """Properties of the kinds of E entities; tensors of shape (E,)."""
 
     height_m: Tensor
-    """Height of its top above what it lies on [m]."""
+    """Height of its top above its support [m]."""
     top_m: Tensor
     """Height of its top above its frame [m]."""
     disc_m: Tensor
     """Radius of a disc that covers it [m]."""
     side_m: Tensor
-    """From its middle to its sides [m]."""
+    """Distance of its center from its sides [m]."""
     support_m: Tensor
-    """How far from its middle the middle of what lies on it may be; -1 if nothing."""
+    """Largest distance of its center from the center of an object on it [m]; -1 if it
+    supports nothing."""
     turn_rad: Tensor
-    """A turn by which its grasp is the same; 0 for what is held from any side."""
+    """Rotational symmetry of its grasp [rad]; 0 for a grasp from any direction."""
     grasp_yaw: Tensor
     """Yaw of the gripper in its frame [rad]."""
     faceted: Tensor
-    """Whether it is held along its faces."""
+    """Whether the gripper's fingers align with its faces."""
     graspable: Tensor
-    """Whether a gripper holds it."""
+    """Whether a gripper can hold it."""
     draggable: Tensor
     """Whether the stick may drag it."""
     drag_m: Tensor
-    """From its middle to where the stick touches it; 0 if it never does [m]."""
+    """Distance of its center from its contact with the stick [m]; 0 without one."""
 
 
 @lru_cache(maxsize=32)
 def traits_of(entities: EntitySet, device: torch.device) -> Traits:
-    """Return what is known of the kinds of some entities, on a device."""
+    """Return the properties of the kinds of some entities, on a device."""
     kinds = entities.kinds
     grasps = [kind.grasp for kind in kinds]
     supports = [kind.support_m for kind in kinds]
@@ -197,10 +201,10 @@ def poses_of(
     Args:
         objects: Poses, NaN where an entity is not on the table, (N, recorded, 7).
         recorded: Names of these rows.
-        entities: Their numbers.
+        entities: Entities, in the order of their numbers.
 
     Raises:
-        DatasetError: Something is on a table that has no number.
+        DatasetError: An entity in a scene has no number.
     """
     found = np.full((len(objects), len(entities), objects.shape[2]), np.nan)
     for row, name in enumerate(recorded):

@@ -1,14 +1,14 @@
-"""Inputs and answers of policies; the interfaces of planners and grounders.
+"""Inputs and decisions of policies; the interfaces of planners and grounders.
 
-A decision is a pure function of a :class:`PolicyInput`, which holds all that was seen
-and done since the episode began. Policies keep no state, so that many episodes can be
-decided at once, in any order, and again from the middle. Evaluation makes a policy anew
-for each kind of sentence, because all kinds are played on the same tables, unless the
-policy says ``keeps_state = True``.
+A decision is a pure function of a :class:`PolicyInput`, which holds all observations
+and decisions since the episode began. Policies are stateless, so episodes can be
+decided as a batch, in any order, and resumed in the middle. All kinds of instructions
+use the same scenes, so evaluation creates a new policy for each kind, unless the policy
+has ``keeps_state = True``.
 
-The truth is no part of it: an input is plain frozen data, copied out of the
-simulation, and no attribute of it leads back. A policy that needs the truth is
-an :class:`Oracle` by type, and results say so.
+Inputs contain no privileged state: they are frozen data, copied out of the simulation,
+without references to it. A policy that needs the true state is a subclass of
+:class:`Oracle`, and results state that.
 """
 
 import math
@@ -26,39 +26,42 @@ if TYPE_CHECKING:
     from lemma.env.episode import Episode
 
 TIMEOUT_S = 30.0
-"""Time that a decision of somebody else's policy may take [s]."""
+"""Time limit for a decision of an external policy [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class PastStep:
-    """One decision of the past."""
+    """A past decision with its outcome."""
 
     view: View
-    """The view before it."""
+    """The view before the decision."""
     subtask: SubTask
     outcome: str = "success"
-    """How it went: a value of :class:`lemma.motion.outcome.Outcome`."""
+    """A value of :class:`lemma.motion.outcome.Outcome`."""
     explanation: str = ""
-    """Why it failed, in one sentence; empty if it did not."""
+    """Why it failed, in one sentence; empty after success."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyInput:
-    """All that a policy may know when it decides on the next sub-task."""
+    """All inputs of a policy's decision on the next sub-task."""
 
     instruction: str
     robots: tuple[str, ...]
-    """How people name the robots, from the first to the last: ``"red robot"``."""
+    """Names of the robots in instructions, in their order: ``"red robot"``."""
     view: View
     past: tuple[PastStep, ...] = ()
     """Decisions before this one, oldest first."""
+    hands: tuple[str, ...] = ()
+    """Hands of the robots, names in ``lemma.robots.hand.HANDS``; empty where all have
+    the standard one."""
 
     def words_for(self, subtask: SubTask) -> str:
         """Return a sub-task of this scene as a sub-instruction.
 
         Raises:
             UnknownNameError: There is no such primitive or entity.
-            InvalidConfigError: It names no cube where it needs one.
+            InvalidConfigError: The sub-task lacks a cube that its primitive needs.
         """
         return sub_instruction(
             self.robots[robot_number(subtask.robot)] if subtask.robot else "",
@@ -74,54 +77,56 @@ class PolicyInput:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OracleInput(PolicyInput):
-    """Input of an oracle, with the truth."""
+    """Input of an oracle, with the true state."""
 
     episode: "Episode" = field(repr=False)
-    """The episode itself, with its simulation."""
+    """The episode with its simulation."""
 
     def without_truth(self) -> PolicyInput:
-        """Return what anybody else is given."""
-        return PolicyInput(self.instruction, self.robots, self.view, self.past)
+        """Return the input without privileged state, as other policies get it."""
+        return PolicyInput(
+            self.instruction, self.robots, self.view, self.past, self.hands
+        )
 
 
 class Oracle:
-    """Says that a planner, grounder or policy needs the truth: subclass it.
+    """Base class that marks a planner, grounder or policy as privileged.
 
-    Oracles are given :class:`OracleInput`, and results of policies with an oracle in
-    them say ``"oracle": true``.
+    Oracles get an :class:`OracleInput`. Results of policies that are or contain an
+    oracle have ``"oracle": true``.
     """
 
 
 class Composite:
-    """A policy, planner or grounder that is made of others: a dataclass of them."""
+    """A policy, planner or grounder composed of others, a dataclass with its parts."""
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """Its parts."""
+        """The values of the dataclass's fields."""
         return tuple(vars(self).values())
 
 
 def is_oracle(part: object) -> bool:
-    """Whether a policy or a part of one needs the truth, or something in it does."""
+    """Return whether a policy or a part of one is, or contains, an oracle."""
     if isinstance(part, Composite):
         return any(map(is_oracle, part.parts))
     return isinstance(part, Oracle)
 
 
 def wants_cameras(part: object) -> bool:
-    """Whether a policy looks at camera images, not at the map alone.
+    """Return whether a policy needs camera images besides the map.
 
-    It says so by an attribute: ``cameras = True``.
+    Such a policy has the attribute ``cameras = True``.
     """
     parts = part.parts if isinstance(part, Composite) else ()
     return getattr(part, "cameras", False) is True or any(map(wants_cameras, parts))
 
 
 def keeps_state(part: object) -> bool:
-    """Whether a policy remembers something of the episodes that it has played.
+    """Return whether a policy keeps state from one episode to the next.
 
-    It says so by an attribute: ``keeps_state = True``. It is then not made anew for
-    each kind of sentence, and the lines of its result say so.
+    Such a policy has the attribute ``keeps_state = True``. Evaluation then does not
+    create a new one for each kind of instruction, and the lines of the result state it.
     """
     if isinstance(part, Composite):
         return any(map(keeps_state, part.parts))
@@ -129,9 +134,9 @@ def keeps_state(part: object) -> bool:
 
 
 def visible_to(part: object, inputs: Sequence[PolicyInput]) -> list[PolicyInput]:
-    """Return inputs as a part of a policy may see them: the truth for oracles alone.
+    """Return inputs for a part of a policy, with privileged state only for oracles.
 
-    A policy that passes inputs on to a part passes these.
+    A composed policy must filter the inputs of its parts with this function.
     """
     if is_oracle(part):
         return list(inputs)
@@ -145,39 +150,39 @@ class Effort:
     """Cost of a decision of a language model."""
 
     calls: int = 0
-    """Requests, also those that were answered with nonsense or not at all."""
+    """Number of requests, including those with an invalid answer or none."""
     prompt_tokens: int = 0
     completion_tokens: int = 0
     invalid: tuple[str, ...] = ()
-    """Kinds of the answers that were no sub-task, in order."""
+    """Kinds of the invalid answers, in order."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The next sub-task, or a reason for there being none."""
+    """The next sub-task, or the reason why there is none."""
 
     subtask: SubTask
-    """In symbols."""
+    """The symbolic sub-task."""
     grounded: GroundedSubTask | None
-    """With poses; None to stop, or where no pose was found."""
+    """The sub-task with poses; None to stop, or if no pose was found."""
     explanation: str = ""
-    """Why there is no pose, or any other remark; with a first decision to stop, why
-    this team cannot do what is asked: it refuses."""
+    """Why there is no pose, or another remark. If the first decision is to stop, it is
+    a refusal: the reason why this team cannot do the task."""
     failed: str = ""
-    """A kind of fault where there is no decision, which costs this episode alone; then
-    the sub-task is ``STOP``."""
+    """The kind of fault if the policy failed to decide; then the sub-task is ``STOP``,
+    and only this episode fails."""
     effort: Effort | None = None
-    """Its cost, where that is counted."""
+    """The cost of the decision, if it is counted."""
 
     @property
     def stops(self) -> bool:
-        """Whether it says that the goal is reached."""
+        """Whether the decision is to stop."""
         return self.subtask.primitive is Primitive.STOP
 
 
 @runtime_checkable
 class Planner(Protocol):
-    """Decides who does what with which object (high level)."""
+    """High level: decides on the robot, the primitive and the objects."""
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode; ``STOP`` when the goal is reached.
@@ -190,7 +195,7 @@ class Planner(Protocol):
 
 @runtime_checkable
 class Proposer(Protocol):
-    """A planner with more to say than a sub-task: what it took, or that it failed."""
+    """A planner that returns decisions with their cost and failures."""
 
     def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the next decision of each episode, without poses.
@@ -202,7 +207,7 @@ class Proposer(Protocol):
 
 
 def proposals(planner: Planner, inputs: Sequence[PolicyInput]) -> list[Decision]:
-    """Return what a planner decides, with all that it has to say of it."""
+    """Return a planner's decisions, with cost and failures from a :class:`Proposer`."""
     visible = visible_to(planner, inputs)
     if isinstance(planner, Proposer):
         return planner.propose(visible)
@@ -211,12 +216,12 @@ def proposals(planner: Planner, inputs: Sequence[PolicyInput]) -> list[Decision]
 
 @runtime_checkable
 class Grounder(Protocol):
-    """Decides where exactly (low level)."""
+    """Low level: decides on the poses of a sub-task."""
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        """Return each sub-task with the gripper's poses; None where there are none.
+        """Return each sub-task with the gripper's poses; None if it finds none.
 
         Args:
             inputs: One per episode; at least one.
@@ -227,7 +232,7 @@ class Grounder(Protocol):
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides both: a planner with a grounder, or a model of its own kind."""
+    """Decides on sub-tasks with poses: a planner with a grounder, or one model."""
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
         """Return the next decision of each episode.
@@ -240,28 +245,28 @@ class Policy(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Understanding:
-    """The meaning of a sentence, to a policy that reads."""
+    """A policy's interpretation of an instruction."""
 
     goal: GoalPairs
-    """The likeliest (top, bottom) pairs, none if there is none."""
+    """The most likely (top, bottom) pairs; may be empty."""
     certainty: float
-    """How likely they are, or that the sentence is no order, in [0, 1]."""
+    """Probability of the goal, or of the refusal, in [0, 1]."""
     refusal: str = ""
-    """Why it is no order, in a sentence; empty if it is one."""
+    """Why the sentence is no order, in one sentence; empty if it is an order."""
     refuses: bool = True
-    """Whether it can refuse; else what says what shall not be is not read."""
+    """Whether the policy can refuse; if not, it does not read negations."""
     other: GoalPairs = ()
-    """The second likeliest pairs."""
+    """The second most likely pairs."""
     other_certainty: float = 0.0
-    """How likely those are, in [0, 1]."""
+    """Probability of the second most likely pairs, in [0, 1]."""
 
 
 @runtime_checkable
 class Reader(Protocol):
-    """A policy that can say what a sentence asks for, before it acts."""
+    """A policy that returns the goal of an instruction before it acts."""
 
     def understand(self, inputs: Sequence[PolicyInput]) -> list[Understanding]:
-        """Return what each sentence asks for.
+        """Return the interpretation of each instruction.
 
         Args:
             inputs: One per episode; at least one.
@@ -271,12 +276,12 @@ class Reader(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SeenObject:
-    """A thing that a policy perceived."""
+    """An object that a policy perceived."""
 
     name: str
     """Name of the entity."""
     at: tuple[float, float]
-    """Where, on the table [m]."""
+    """World x, y [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,12 +289,15 @@ class SeenRobot:
     """A robot that a policy perceived, by its number in a team."""
 
     at: tuple[float, float]
-    """Where its base is [m]."""
+    """World x, y of its base [m]."""
     reach_m: tuple[float, float]
-    """Radii between which the policy believes that it works [m]."""
+    """Smallest and largest radius of its reach, as the policy estimates it [m]."""
 
     def margin_m(self, point: tuple[float, float]) -> float:
-        """Return how far inside the reach a point is; negative outside [m]."""
+        """Return the distance of a point from the border of the reach [m].
+
+        It is negative outside of the reach.
+        """
         inner, outer = self.reach_m
         distance = math.dist(self.at, point)
         return min(distance - inner, outer - distance)
@@ -297,22 +305,22 @@ class SeenRobot:
 
 @dataclass(frozen=True, slots=True)
 class Insight:
-    """Why a policy decides as it does."""
+    """A policy's perception, goal and options at a decision."""
 
     objects: tuple[SeenObject, ...]
     robots: tuple[SeenRobot, ...]
     goal: GoalPairs
-    """The (top, bottom) pairs that it takes the sentence for."""
+    """The (top, bottom) pairs that it reads from the instruction."""
     options: tuple[tuple[SubTask, float], ...]
-    """The likeliest sub-tasks, and how likely it holds each, in [0, 1]."""
+    """The most likely sub-tasks, with their probabilities in [0, 1]."""
 
 
 @runtime_checkable
 class Explainer(Protocol):
-    """A policy that can say what it perceived, and what else it thought of."""
+    """A policy that reports its perception and its alternatives."""
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
-        """Return why each decision is what it is.
+        """Return the insight into each decision.
 
         Args:
             inputs: One per episode; at least one.

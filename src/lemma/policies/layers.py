@@ -1,7 +1,7 @@
-"""Convolutional blocks that several models are made of.
+"""Network blocks that several models share.
 
-Normalisation is over groups of channels, never over the batch: a batch statistic would
-make a decision depend on what else is decided at the same time.
+Normalisation is over groups of channels, never over the batch: with batch statistics a
+decision would depend on the other samples of its batch.
 """
 
 import math
@@ -16,14 +16,14 @@ from torch.nn import functional as F
 from lemma.core.errors import InvalidConfigError
 
 GROUP_CHANNELS = 8
-"""Channels that are normalised together."""
+"""Number of channels per group of the normalisation."""
 
 
 class GroupNorm(nn.GroupNorm):
-    """Group normalisation that stays in the precision of what it is given.
+    """Group normalisation in the precision of its input.
 
-    Autocast would turn features to single precision and back, which takes as long as
-    the convolutions; sums are in single precision in any case.
+    Autocast would convert features to single precision and back, which takes as long as
+    the convolutions. The sums are in single precision anyway.
     """
 
     def forward(self, x: Tensor) -> Tensor:
@@ -39,16 +39,16 @@ def norm(channels: int) -> nn.GroupNorm:
 
 
 def constant(values: tuple[Any, ...], device: torch.device) -> Tensor:
-    """Return fixed numbers as a tensor, made once for each device.
+    """Return constants as a tensor, cached per device.
 
-    A GPU waits for numbers that come from the CPU, and they cannot be part of a
-    captured step (:class:`lemma.policies.training.captured.CapturedStep`).
+    Copying constants from the CPU makes a GPU wait, and cannot be part of a captured
+    step (:class:`lemma.policies.training.captured.CapturedStep`).
 
     Args:
-        values: Numbers, nested as the shape is.
-        device: Where they shall be.
+        values: Numbers in nested tuples of the tensor's shape.
+        device: Device of the tensor.
     """
-    # Whole numbers equal fractions as keys, and not as tensors.
+    # The key has the text besides: 1 equals 1.0, but makes a tensor of another type.
     return _constant(values, repr(values), device)
 
 
@@ -60,11 +60,11 @@ def _constant(values: tuple[Any, ...], _: str, device: torch.device) -> Tensor:
 
 
 class Network(nn.Module):
-    """Maps tensors to tensors, by nothing else: such parts of a model are compiled."""
+    """A part of a model whose inputs and outputs are tensors only, to be compiled."""
 
 
 class ResidualBlock(Network):
-    """Two 3 x 3 convolutions and a shortcut; the first may halve the resolution."""
+    """Two 3 x 3 convolutions with a residual connection and an optional stride."""
 
     def __init__(self, channels_in: int, channels: int, stride: int = 1) -> None:
         """Make the weights.
@@ -94,7 +94,7 @@ class ResidualBlock(Network):
 
 
 def upsample_to(x: Tensor, size_of: Tensor) -> Tensor:
-    """Return a feature map, bilinearly enlarged to the size of another."""
+    """Return a feature map, bilinearly upsampled to the height and width of another."""
     return F.interpolate(
         x, size=size_of.shape[-2:], mode="bilinear", align_corners=False
     )
@@ -104,7 +104,7 @@ _LONGEST_PERIOD = 10_000.0
 
 
 class TransformerLayer(nn.Module):
-    """Self-attention and two linear layers, each added to what it was given."""
+    """Pre-norm transformer layer: self-attention and two linear layers, residual."""
 
     def __init__(
         self,
@@ -120,14 +120,14 @@ class TransformerLayer(nn.Module):
 
         Args:
             width: Width of a token.
-            heads: Number of heads of the attention; they share the width evenly.
+            heads: Number of attention heads; it must divide the width.
             hidden: Width between the two linear layers.
-            dropout: Share of values that are left out in training.
-            activation: Between the two linear layers.
-            drops_hidden: Whether values are left out there, too.
+            dropout: Probability of dropout in training.
+            activation: Activation between the two linear layers.
+            drops_hidden: Whether dropout applies between the two linear layers, too.
 
         Raises:
-            InvalidConfigError: The heads cannot share the width.
+            InvalidConfigError: The number of heads does not divide the width.
         """
         super().__init__()
         check_heads(width, heads)
@@ -142,13 +142,13 @@ class TransformerLayer(nn.Module):
         self.activation, self.drops_hidden = activation, drops_hidden
 
     def forward(self, tokens: Tensor, attends: Tensor) -> Tensor:
-        """Map tokens (B, L, width) to as many.
+        """Map tokens (B, L, width) to tokens of the same shape.
 
         Args:
             tokens: (B, L, width).
-            attends: Which tokens (columns) each token (row) looks at, (B, L, L) or
-                (B, 1, L) bool, at least one in each row; or what is added to their
-                weights, (B, heads, L, L).
+            attends: Attention mask, from each token (row) to tokens (columns),
+                (B, L, L) or (B, 1, L) bool, with at least one True in each row; or an
+                additive attention bias, (B, heads, L, L) float.
         """
         tokens = tokens + self.dropout(
             self._attention(self.attention_norm(tokens), attends)
@@ -172,10 +172,10 @@ class TransformerLayer(nn.Module):
 
 
 def check_heads(width: int, heads: int) -> None:
-    """Check that the heads of an attention share its width evenly.
+    """Check that the number of attention heads divides the width.
 
     Raises:
-        InvalidConfigError: They do not.
+        InvalidConfigError: It does not.
     """
     if width % heads:
         raise InvalidConfigError(
@@ -185,23 +185,23 @@ def check_heads(width: int, heads: int) -> None:
 
 
 def made_without_numbers() -> bool:
-    """Return whether tensors are being made on "meta", for the sake of their sizes.
+    """Return whether new tensors are on the device "meta", which has sizes only.
 
-    For arithmetic there, torch would load its compiler, which takes a second.
+    For arithmetic on that device torch loads its compiler, which takes a second.
     """
     return torch.get_default_device().type == "meta"
 
 
 def drawn(*shape: int) -> nn.Parameter:
-    """Return new weights from a normal distribution, mostly within 0.1 of zero."""
+    """Return new weights, normal with mean 0 and standard deviation 0.1."""
     return nn.Parameter(nn.init.normal_(torch.empty(shape), std=0.1))
 
 
 def sinusoids(length: int, width: int) -> Tensor:
-    """Return what is added to tokens to tell their places, (length, width).
+    """Return sinusoidal position embeddings, (length, width).
 
     Args:
-        length: Number of places.
+        length: Number of positions.
         width: Width of a token; even.
     """
     if made_without_numbers():

@@ -1,4 +1,4 @@
-"""The expert behind the interfaces of policies: it sees the truth, not images."""
+"""The expert with the interfaces of policies; it uses the true state, not images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ from lemma.tasks.zones import Territory
 
 @dataclass
 class _Answer:
-    """The last decision for an episode, and when it was made."""
+    """The last decision for an episode, and the number of sub-tasks before it."""
 
     expert: Expert
     executed: int = -1
@@ -34,7 +34,7 @@ class _Answer:
 
 @dataclass(frozen=True)
 class OraclePlanner(Oracle):
-    """Plans as the expert does: with the true state, and again after a failure."""
+    """The expert's planner: it plans with the true state, and again after a failure."""
 
     _answers: WeakKeyDictionary[Episode, _Answer] = field(
         default_factory=WeakKeyDictionary, repr=False
@@ -43,19 +43,19 @@ class OraclePlanner(Oracle):
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode.
 
-        Asked again before anything was executed, it gives the same answer.
+        Repeated calls between two executions return the same sub-task.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no :class:`OracleInput`.
         """
         return [self._plan(truth_of(policy_input)) for policy_input in inputs]
 
     def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the same; where nobody could do it, who lacks what."""
+        """Return the sub-tasks as decisions, with the reason of each refusal."""
         found = []
         for policy_input, subtask in zip(inputs, self.plan(inputs), strict=True):
             begins = not policy_input.past and subtask.primitive is Primitive.STOP
-            why = _refusal(truth_of(policy_input)) if begins else ""
+            why = refusal_words(truth_of(policy_input)) if begins else ""
             found.append(Decision(subtask, None, why))
         return found
 
@@ -74,15 +74,15 @@ class OraclePlanner(Oracle):
 
 @dataclass(frozen=True)
 class OracleGrounder(Oracle):
-    """Grounds as the expert does: from the true poses."""
+    """The expert's grounder: it computes poses from the true state."""
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        """Return each sub-task with poses; None where its robot cannot do it.
+        """Return each sub-task with poses; None if its robot cannot do it.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no :class:`OracleInput`.
             UnknownNameError: There is no such robot in the scene.
         """
         found: list[GroundedSubTask | None] = []
@@ -97,26 +97,26 @@ class OracleGrounder(Oracle):
 
 @dataclass(frozen=True)
 class GroundTruthAllocation(Oracle):
-    """A planner whose choice of robot is replaced by the right one (paper: GTA).
+    """A planner with ground-truth allocation of robots (paper: GTA).
 
-    Primitive and objects remain the planner's. The right robot is the expert's, where
-    the expert would do the same thing next; else the one that can do it best, and the
-    planner's own where none can.
+    Primitive and objects remain the planner's. If the expert's next sub-task has the
+    same primitive and objects, the robot is the expert's. Otherwise it is the robot
+    with the largest reach margin, or the planner's own if no robot can do the sub-task.
     """
 
     planner: Planner
     expert: OraclePlanner = field(default_factory=OraclePlanner)
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
-        """Return the planner's sub-tasks, each given to the right robot.
+        """Return the planner's sub-tasks with the allocated robots.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no :class:`OracleInput`.
         """
         return [decision.subtask for decision in self.propose(inputs)]
 
     def propose(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the same with what else the planner has to say."""
+        """Return the planner's decisions with the allocated robots."""
         return [
             replace(decision, subtask=self._allocate(policy_input, decision.subtask))
             for policy_input, decision in zip(
@@ -142,8 +142,8 @@ class GroundTruthAllocation(Oracle):
         return max(able, key=lambda step: step.quality).subtask
 
 
-def _refusal(episode: Episode) -> str:
-    """Return what keeps the team from the goal; nothing if it is not known."""
+def refusal_words(episode: Episode) -> str:
+    """Return why the team cannot reach the goal; empty if the reason is unknown."""
     instance = episode.instance
     territory = Territory(instance.scene.robots, instance.scene.gap_m)
     lack = lack_of(territory, instance.scene.objects, instance.goal)
@@ -151,14 +151,14 @@ def _refusal(episode: Episode) -> str:
 
 
 def truth_of(policy_input: PolicyInput) -> Episode:
-    """Return the episode itself.
+    """Return the episode of an oracle's input.
 
     Raises:
-        InvalidConfigError: The input comes without the truth.
+        InvalidConfigError: The input is no :class:`OracleInput`.
     """
     if not isinstance(policy_input, OracleInput):
         raise InvalidConfigError(
-            "An oracle was asked, but the inputs come without the truth. Give it "
+            "An oracle needs privileged state, which these inputs lack. Pass "
             "OracleInput, or use a learned policy."
         )
     return policy_input.episode

@@ -1,4 +1,4 @@
-"""A policy that is an object of this process."""
+"""Specification of a policy that is an object of this process."""
 
 from copy import deepcopy
 from typing import Any
@@ -26,7 +26,7 @@ from lemma.policies.spec import (
 
 
 class PolicyObjectSpec(PolicySpec):
-    """A policy that is an object of this process, not a name: no other one has it."""
+    """A policy that is an object of this process, so others cannot load it by name."""
 
     _held: object
     _as_it_was: object = None
@@ -47,14 +47,16 @@ class PolicyObjectSpec(PolicySpec):
         Args:
             held: A policy, or a planner.
             level: One of :data:`LEVELS`; a planner's sub-tasks get the expert's poses.
-                By default what it can do; what has ``control_options`` controls.
-            planning: How it plans.
-            gta: Whether the right robot replaces the one that the planner chose.
+                By default it follows from the object's methods; an object with
+                ``control_options`` is of level ``control``.
+            planning: One of :data:`PLANNINGS`.
+            gta: Whether ground-truth allocation replaces the planner's robots.
             acting: One of :data:`~lemma.policies.spec.ACTINGS`.
-            adapter: How a sequential policy acts together.
+            adapter: Adapter of a sequential policy whose robots act together.
 
         Raises:
-            InvalidConfigError: It is neither, or cannot plan in that way.
+            InvalidConfigError: The object is neither a policy nor a planner, or cannot
+                plan in that way.
         """
         if isinstance(held, type):
             raise InvalidConfigError(
@@ -76,21 +78,21 @@ class PolicyObjectSpec(PolicySpec):
 
     @property
     def oracle(self) -> bool:
-        """Whether some part of it is given the truth: results say so."""
+        """Whether a part of the policy gets privileged state."""
         return is_oracle(self.load())
 
     def part(self, name: str, load: Load | None) -> Any:
-        """Return the object: names are not looked up."""
+        """Return the object; the name is not looked up."""
         return self._held
 
     def renew(self) -> None:
-        """Hold a policy that remembers nothing: the first time itself, then copies.
+        """Replace the policy by a copy of its initial state.
 
-        The copies are of what it was the first time. A policy that says that it keeps
-        its state is left as it is.
+        The first call keeps the object and stores the copy. A policy with
+        ``keeps_state = True`` is not replaced.
 
         Raises:
-            InvalidConfigError: It cannot be copied.
+            InvalidConfigError: The object cannot be copied.
         """
         if keeps_state(self._held):
             return
@@ -108,19 +110,19 @@ class PolicyObjectSpec(PolicySpec):
             ) from error
 
     def is_planner(self, part: str) -> bool:
-        """No: a module may have the name of a planner."""
+        """Return False: the name is that of an object, even if a planner has it too."""
         return False
 
     def planners(self) -> list[Any]:
-        """Return the object, if it has more to say than others."""
+        """Return the object if it is a :class:`~.interfaces.Proposer`."""
         return [self._held] if isinstance(self._held, Proposer) else []
 
     def _object(self, part: str) -> object:
         return self._held
 
-    # Two objects of one class are two policies.
+    # Identity: two objects of one class are different policies.
     __hash__ = object.__hash__
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same spec."""
+        """Return whether the other is the same spec object."""
         return self is other

@@ -43,19 +43,19 @@ from lemma.policies.weights import load_model, published_weights
 
 ORACLE = "oracle"
 FOREVER_S = 1e6
-"""Stands for no limit [s]."""
+"""Timeout that stands for no limit [s]."""
 PLANNINGS = ("single-step", "multi-step")
 ACTINGS = ("turns", "together")
 """Robots act one after the other; or several at the same time."""
 TOGETHER = ACTINGS[1]
 ADAPTERS = ("greedy", "turns")
-"""How sequential policies give orders to a team, the default first."""
+"""Adapters of sequential policies to robots that act together, the default first."""
 LEVELS = ("plan", "skill", "control")
-"""A policy decides on sub-tasks in symbols, on sub-tasks with poses, or on motor
+"""A policy decides on symbolic sub-tasks, on sub-tasks with poses, or on motor
 commands."""
 CONTROL = LEVELS[2]
 _OMITTED = {"level": "", "arguments": {}, "acting": ACTINGS[0], "adapter": ""}
-"""Fields that are left out where they have these values."""
+"""Defaults; results leave out fields with these values."""
 _CLASS = re.compile(r"[\w.]+:[^\W\d][\w.<>]*")
 """``package.module:Class``, also of a class within a function."""
 Load = Callable[[str], Any]
@@ -63,12 +63,13 @@ Load = Callable[[str], Any]
 
 
 def parts_of(name: str) -> tuple[str, ...]:
-    """Return a policy's name, or the names of its planner and its grounder.
+    """Split a policy's name into the names of its planner and its grounder.
 
-    They are joined by a plus sign. A path, or the name of a language model, may have
-    one of its own, so the name is parted where both sides are known; else where one
-    side is; else where a single plus sign stands. An existing path, a checkpoint of
-    LeRobot, and the name of a language model before anything unknown stay whole.
+    The names are joined by a plus sign, which paths and names of language models may
+    contain, too. So the name is split at a plus sign with known names on both sides;
+    otherwise with a known name on one side; otherwise at the only plus sign. An
+    existing path, a LeRobot checkpoint, and the name of a language model before an
+    unknown part are not split.
 
     Args:
         name: As ``--policy`` takes it.
@@ -86,13 +87,13 @@ def parts_of(name: str) -> tuple[str, ...]:
     for one in ((False, True), (True, False)):
         if one in known:
             return parted[known.index(one)]
-    # Names from other machines: two plus signs in a row belong to one name.
+    # Two plus signs in a row belong to one name, as in names from other machines.
     plain = [both for both in parted if both[0][-1:] != "+" and both[1][:1] != "+"]
     return (plain or [(name,)])[0]
 
 
 def _is_known(part: str) -> bool:
-    """Whether a part of a name means something, as far as that is seen by its form."""
+    """Return whether a part of a name is known or has the form of a known name."""
     return (
         part == ORACLE
         or is_planner(part)
@@ -105,7 +106,7 @@ def _is_known(part: str) -> bool:
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """Which policy, and how it plans; plain data, so that other processes can load it.
+    """A policy's name and options: plain data, so that other processes can load it.
 
     ``name`` is one of
 
@@ -115,40 +116,40 @@ class PolicySpec:
     - a planner of :data:`lemma.policies.planners.registry.PLANNERS`, such as
       ``"greedy-reach"`` or ``"llm:MODEL"``, with a grounder or, alone, with the
       expert's poses;
-    - anybody's own class: ``"package.module:Class"``, called with ``arguments``;
-    - a policy that LeRobot trained: ``"lerobot:CHECKPOINT"``; one that is told the
-      truth, ``"lerobot-privileged:CHECKPOINT"``;
-    - a policy behind a socket: ``"http://127.0.0.1:8000"``;
+    - a class of your own: ``"package.module:Class"``, called with ``arguments``;
+    - a policy that LeRobot trained: ``"lerobot:CHECKPOINT"``; one with privileged
+      state, ``"lerobot-privileged:CHECKPOINT"``;
+    - a policy server: ``"http://127.0.0.1:8000"``;
     - a model server of vla-eval: ``"vla-eval://127.0.0.1:8001"``, whose ``arguments``
       choose the environment.
 
-    Models are names of weights that ship, or paths of weights.
+    Models are names of published weights, or paths of weights.
     """
 
     name: str = ORACLE
     planning: str = PLANNINGS[0]
-    """``"single-step"``: looks before every sub-task; ``"multi-step"``: plans from the
-    first image alone."""
+    """``"single-step"``: an image before every sub-task; ``"multi-step"``: a plan from
+    the first image alone."""
     gta: bool = False
-    """Whether the right robot replaces the one that the planner chose."""
+    """Whether ground-truth allocation replaces the robots that the planner chose."""
     timeout_s: float = TIMEOUT_S
-    """Time that a decision of somebody else's policy may take [s]; 0 for any time, in
-    the same process."""
+    """Time limit for a decision of an external policy [s]; 0 for no limit, and then the
+    policy runs in this process."""
     chat: ChatOptions | None = None
-    """How a language model is asked, if one is."""
+    """Options of requests to a language model, if it is one."""
     level: str = ""
-    """``"control"`` if it answers motor commands; else its name tells the level."""
+    """``"control"`` for motor commands; otherwise the name determines the level."""
     arguments: tuple[tuple[str, Any], ...] = ()
-    """Names and values that its class is called with."""
+    """Names and values of the arguments of its class."""
     acting: str = ACTINGS[0]
-    """``"turns"``: one robot works at a time; ``"together"``: the policy gives orders
-    to free robots, several of which work at once."""
+    """``"turns"``: one robot works at a time; ``"together"``: the policy decides for
+    each free robot, and several robots work at once."""
     adapter: str = ""
-    """How a sequential policy acts together, see :mod:`.together.adapters`: one of
-    :data:`ADAPTERS`; empty for what can do so itself, and ``"greedy"`` otherwise."""
+    """Adapter of a sequential policy that acts together, one of :data:`ADAPTERS`; see
+    :mod:`.together.adapters`. If empty, ``"greedy"`` for policies that need one."""
 
     def __post_init__(self) -> None:
-        """Check the names and the time, and that its planners can be made."""
+        """Check the names and the time limit, and create its planners."""
         check_no_secret(name for name, _ in self.arguments)
         self._check_level()
         self._check_acting()
@@ -156,13 +157,13 @@ class PolicySpec:
             raise UnknownNameError("way of planning", self.planning, PLANNINGS)
         if not 0.0 <= self.timeout_s < float("inf"):
             raise InvalidConfigError(
-                f"A decision may take {self.timeout_s} s? Valid: a positive number, or "
-                "0 for no limit."
+                f"The time limit of a decision is {self.timeout_s} s. Valid: a "
+                "positive number, or 0 for no limit."
             )
         if self.chat is not None and not any(map(asks_model, self.parts)):
             raise InvalidConfigError(
-                f"{self.name} asks no language model, so there is no server and no "
-                "cassette for it. Leave these options out, or name llm:MODEL."
+                f"{self.name} uses no language model, so it needs no server and no "
+                "cassette. Leave these options out, or name llm:MODEL."
             )
         for part in filter(self.is_planner, self.parts):
             self._planner(part)
@@ -172,16 +173,16 @@ class PolicySpec:
             raise UnknownNameError("level of a policy", self.level, (CONTROL,))
         if self.controls and (self.gta or self.planning != PLANNINGS[0]):
             raise InvalidConfigError(
-                "Motor commands are no sub-tasks, so neither multi-step planning nor "
-                "ground-truth allocation applies to them."
+                "Motor commands allow neither multi-step planning nor ground-truth "
+                "allocation, which apply to sub-tasks. Leave out these options."
             )
         own = is_model_server(self.name) or (
             ":" in self.name and "://" not in self.name
         )
         if is_model_server(self.name) and len(self.parts) > 1:
             raise InvalidConfigError(
-                f"{self.name} answers motor commands, so there is nothing to combine "
-                "it with, nor another level. Name the address alone."
+                f"{self.name} returns motor commands. It cannot be combined with a "
+                "grounder, and has no other level. Name the address alone."
             )
         if self.arguments and (not own or any(map(self.is_planner, self.parts))):
             raise InvalidConfigError(
@@ -195,7 +196,7 @@ class PolicySpec:
             known("adapter", self.adapter, ADAPTERS)
         if self.together and self.controls:
             raise InvalidConfigError(
-                "Motor commands are those of all robots already. Leave out acting."
+                "Motor commands are for all robots anyway. Leave out acting."
             )
         if self.adapter and not self.together:
             raise InvalidConfigError(
@@ -209,14 +210,14 @@ class PolicySpec:
 
     @property
     def controls(self) -> bool:
-        """Whether it answers motor commands."""
+        """Whether it returns motor commands."""
         known = is_model_server(self.name) or checkpoint_of(self.name) is not None
         return known or self.level == CONTROL
 
     def about(self) -> dict[str, Any]:
-        """Return the fields that decide what it does; :meth:`planners` say more."""
+        """Return the fields that determine its behavior, as plain data for results."""
         fields = {name: value for name, value in asdict(self).items() if name != "chat"}
-        # As JSON has it: what is read back must be equal.
+        # A dictionary, so that the data equal what is read back from JSON.
         fields["arguments"] = dict(self.arguments)
         return {
             name: value for name, value in fields.items() if value != _OMITTED.get(name)
@@ -226,12 +227,12 @@ class PolicySpec:
         """Return the planners of :data:`~lemma.policies.planners.registry.PLANNERS`.
 
         Raises:
-            LemmaError: One cannot be made so.
+            LemmaError: A planner cannot be created with these options.
         """
         return [self._planner(part) for part in self.parts if self.is_planner(part)]
 
     def is_planner(self, part: str) -> bool:
-        """Whether a part is a name of a planner that is registered."""
+        """Return whether a part is the name of a registered planner."""
         return is_planner(part)
 
     def _planner(self, part: str) -> Any:
@@ -251,13 +252,13 @@ class PolicySpec:
         )
 
     def _object(self, part: str) -> object:
-        """Return what a part means, where that is known without loading it."""
+        """Return the object or class of a part, if it is known without loading."""
         return self._planner(part) if self.is_planner(part) else None
 
     @property
     def oracle(self) -> bool:
-        """Whether some part of it is given the truth: results say so."""
-        # A planner alone is given the expert's poses.
+        """Whether a part of the policy gets privileged state."""
+        # A planner without a grounder gets the expert's poses.
         alone = len(self.parts) == 1 and self.is_planner(self.name)
         return self.gta or alone or any(map(self._is_oracle, self.parts))
 
@@ -290,7 +291,7 @@ class PolicySpec:
         """
         if not self.together:
             return self.load_sequential(load)
-        # A team policy may be made of a sequential one.
+        # A late import: team policies are built from sequential ones.
         from lemma.policies.together.loading import team_of  # noqa: PLC0415
 
         return team_of(self, load)
@@ -310,8 +311,8 @@ class PolicySpec:
         registered = self.is_planner(first)
         if registered and self.planning != PLANNINGS[0] and is_oracle(planner):
             raise InvalidConfigError(
-                f"{first} is told how the table is before each sub-task, so it cannot "
-                "plan from the first image alone. Leave out --planning."
+                f"{first} reads the state of the table before each sub-task, so it "
+                "cannot plan from the first image alone. Leave out --planning."
             )
         last = more[0] if more else ORACLE
         grounder = OracleGrounder() if last == ORACLE else self.part(last, load)
@@ -325,10 +326,10 @@ class PolicySpec:
         return load(name) if load else load_part(name, dict(self.arguments))
 
     def _whole(self, load: Load | None) -> Policy:
-        """Return a policy that is one part: an object that can act.
+        """Return a policy with one part, an object with ``act``.
 
         Raises:
-            InvalidConfigError: It cannot act, or not in the way that is asked for.
+            InvalidConfigError: It has no ``act``, or does not support the options.
         """
         whole = self.part(self.name, load)
         if has_options(whole):
@@ -357,18 +358,19 @@ class PolicySpec:
 
 
 def _reads_outcomes(part: object) -> bool:
-    """Whether a planner or policy looks at how its sub-tasks ended; by default, yes."""
+    """Return whether a planner or policy reads outcomes; yes by default."""
     return bool(getattr(part, "reads_outcomes", True))
 
 
 _VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
-"""The method of each interface, and how many arguments it takes."""
+"""The method of each interface, and its number of arguments."""
 
 
 def can(part: Any, interface: type[Any]) -> bool:
-    """Return whether an object has the method of an interface.
+    """Return whether an object has the method of an interface, with its arguments.
 
-    ``isinstance`` looks at names alone: agents of other libraries have an ``act`` too.
+    ``isinstance`` compares names alone, but agents of other libraries have ``act``,
+    too.
     """
     verb, arguments = _VERBS[interface]
     return takes(getattr(part, verb, None), arguments)
@@ -378,7 +380,7 @@ def _able(part: Any, interface: type[Any], otherwise: str) -> Any:
     """Return an object that has the method of an interface.
 
     Raises:
-        InvalidConfigError: It has not, with a sentence that says so.
+        InvalidConfigError: It lacks the method; the message is ``otherwise``.
     """
     if not can(part, interface):
         raise InvalidConfigError(otherwise)

@@ -1,6 +1,6 @@
 """Weights by name: published ones, files, and the Hugging Face Hub.
 
-Finding them needs no torch, so that a misspelled name is told as such without it.
+Finding weights does not import torch, so a misspelled name is reported quickly.
 """
 
 import json
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
     from lemma.policies.models.base import Model
 
 LIST = "weights.json"
-"""Says which weights are published: file, checksum, where from, and how made."""
+"""List of the published weights: file, checksum, source and command of each."""
 FOLDER_VARIABLE = "LEMMA_WEIGHTS"
 """Environment variable that names a folder with files of published weights."""
 CHECKOUT = Path(__file__).parents[3] / "weights"
-"""The folder of a checkout; an installed package has the list alone, beside this."""
+"""Folder of weights in a checkout; an installed package has only the list."""
 SUFFIX = ".safetensors"
 
 
 def load_model(name: str, device: "torch.device | str" = "cpu") -> "Model":
-    """Return a trained model, ready to be used.
+    """Return a trained model in evaluation mode.
 
     Args:
         name: Published weights, such as ``"reachnet"``; a file; a folder that ``lemma
             train`` wrote; or a repository of the Hugging Face Hub, ``"org/name"`` or
             ``"org/name/file.safetensors"``.
-        device: Where it shall be.
+        device: Device of the model.
 
     Raises:
-        UnknownNameError: Nothing is called that.
+        UnknownNameError: There are no weights with this name.
         WeightsError: The file is missing, damaged, or does not fit its model.
     """
     path = find_weights(name)
@@ -47,17 +47,17 @@ def load_model(name: str, device: "torch.device | str" = "cpu") -> "Model":
 
 
 def find_weights(name: str) -> Path:
-    """Return the file of weights that a name means, fetched if it is not here.
+    """Return the file of weights with a name; download it if it is not local.
 
-    Published weights are looked for in the folder that ``LEMMA_WEIGHTS`` names, in the
-    checkout, and in the cache of the Hub's client, in this order.
+    Published weights are searched in the folder in ``LEMMA_WEIGHTS``, in the checkout,
+    and in the cache of the Hub's client, in this order.
 
     Args:
         name: See :func:`load_model`.
 
     Raises:
-        UnknownNameError: Nothing is called that.
-        WeightsError: It is not the file that was published, or cannot be fetched.
+        UnknownNameError: There are no weights with this name.
+        WeightsError: The checksum is wrong, or the download failed.
     """
     published = published_weights()
     if name in published:
@@ -76,18 +76,18 @@ def find_weights(name: str) -> Path:
 
 
 def published_weights() -> dict[str, dict[str, Any]]:
-    """Return what is published, by name: file, hash, source, command and scores."""
+    """Return the published weights by name: file, hash, source, command and scores."""
     beside = Path(__file__).with_name(LIST)
     path = CHECKOUT / LIST if (CHECKOUT / LIST).is_file() else beside
     return read_json(path) if path.exists() else {}
 
 
 def find_published(name: str) -> Path:
-    """Return the file of published weights, fetched if it is not here.
+    """Return the file of published weights; download it if it is not local.
 
     Raises:
-        UnknownNameError: None are called that.
-        WeightsError: It is not the file that was published, or cannot be fetched.
+        UnknownNameError: There are no published weights with this name.
+        WeightsError: The checksum is wrong, or the download failed.
     """
     published = published_weights()
     if name not in published:
@@ -117,7 +117,7 @@ def find_published(name: str) -> Path:
 
 
 def are_here(name: str) -> bool:
-    """Return whether published weights lie in a folder of this machine, unchecked."""
+    """Return whether published weights are local, without checking their checksum."""
     entry = published_weights().get(name)
     return entry is not None and _local(entry) is not None
 
@@ -142,17 +142,17 @@ def _checked(path: Path, entry: dict[str, Any]) -> Path:
 def _fetch(
     repository: str, file: str, revision: str | None = None, *, again: bool = False
 ) -> Path:
-    """Return a file of the Hub, downloaded unless it was before.
+    """Return a file of the Hub, from the cache or downloaded.
 
     Raises:
-        WeightsError: It cannot be had.
+        WeightsError: The download failed, or the Hub's client is not installed.
     """
     name = f"{repository}/{file}"
     try:
         hub = import_module("huggingface_hub")
     except ImportError as error:
         raise WeightsError(
-            f"{name} is no file here, and to fetch it from the Hugging Face Hub takes "
+            f"{name} is no local file, and a download from the Hugging Face Hub needs "
             "another package: python -m pip install 'lemma-bench[hub]'"
         ) from error
     try:
@@ -164,14 +164,14 @@ def _fetch(
     except UnicodeError:
         # The error may show parts of the token.
         raise WeightsError(
-            f"{name} is no file here, and the token for the Hugging Face Hub cannot be "
-            "sent: it holds a curly quotation mark or another character that is not "
+            f"{name} is no local file, and the token for the Hugging Face Hub is "
+            "invalid: it has a curly quotation mark or another character that is not "
             "ASCII. Set HF_TOKEN again, or log in with: hf auth login"
         ) from None
     except (OSError, ValueError) as error:
         known = ", ".join(published_weights()) or "none"
         raise WeightsError(
-            f"{name} is no file here, and the Hugging Face Hub does not give it: "
+            f"{name} is no local file, and the Hugging Face Hub does not have it: "
             f"{_first_line(error)} Published weights: {known}."
         ) from error
 

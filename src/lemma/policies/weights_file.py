@@ -1,10 +1,10 @@
-"""Files of weights: which model they belong to, its options, and where they come from.
+"""Files of weights, with the name and options of their model and their provenance.
 
-Weights are safetensors in 16 bits; metadata are JSON beside them. Published files are
-packed in about seven bits a weight: large matrices and kernels are whole multiples of a
-step, and these are stored with a Huffman code (``scripts/publish_weights.py`` packs). A
-file may come from anybody: nothing in it is executed, and all of it is checked before
-memory is taken for it.
+Weights are safetensors in 16 bits with JSON metadata. Published files are packed in
+about seven bits per weight: large matrices and kernels are quantised to whole multiples
+of a step, which are stored with a Huffman code (``scripts/publish_weights.py`` packs
+them). Files are not trusted: nothing in them is executed, and sizes are checked before
+memory is allocated.
 """
 
 import math
@@ -33,18 +33,18 @@ from lemma.policies.models.catalog import MODELS, make_model
 METADATA_KEY = "lemma"
 WEIGHTS_VERSION = "2"
 TIME_LIMIT: Literal["time limit"] = "time limit"
-"""How a run ended that other machines would have ended elsewhere."""
+"""End of a run whose number of steps depends on the machine."""
 LARGEST_MULTIPLE = 2**15 - 1
 """Largest multiple of its step that a packed weight may be."""
 _LARGEST_STEP = float(np.finfo(np.float32).max) / (LARGEST_MULTIPLE + 1)
-"""Values of larger ones would overflow."""
+"""Largest step; values of a larger one would overflow float32."""
 _LONGEST = 2**20
-"""Characters of metadata that are read."""
+"""Largest number of characters of metadata."""
 
 
 @dataclass(frozen=True)
 class Rounding:
-    """How one tensor was rounded."""
+    """Quantisation of one tensor."""
 
     shape: tuple[int, ...]
     step: float
@@ -56,7 +56,7 @@ class WeightsMetadata:
     """Metadata of a file of weights."""
 
     model: str
-    """Its name, as ``lemma train`` knows it."""
+    """Name of the model, as in ``lemma train``."""
     options: dict[str, Any]
     """Options of the model."""
     data: dict[str, Any] = field(default_factory=dict)
@@ -64,16 +64,16 @@ class WeightsMetadata:
     command: str = ""
     """The command line that made it."""
     scores: dict[str, float | None] = field(default_factory=dict)
-    """In validation."""
+    """Validation scores by name."""
     training: dict[str, Any] = field(default_factory=dict)
     """All options of the run."""
     ended: Literal["", "steps", "time limit"] = ""
-    """Why the run ended: all steps were done, or a time limit, after which other
-    machines have done other steps. Empty while it goes on, or if it is unknown."""
+    """Why the run ended: all steps were done, or the time limit was reached, so that
+    the number of steps depends on the machine. Empty during the run, or if unknown."""
     steps: int | None = None
-    """Steps that were done when it ended."""
+    """Number of steps at the end of the run."""
     packed: dict[str, Rounding] = field(default_factory=dict)
-    """How the tensors were rounded that are not in 16 bits, by name."""
+    """Quantisation of the packed tensors, by name; the others are in 16 bits."""
     lemma: str = ""
     """Version of the package."""
     version: str = WEIGHTS_VERSION
@@ -83,25 +83,25 @@ class WeightsMetadata:
 def write_weights(
     path: Path, weights: Mapping[str, Tensor], metadata: WeightsMetadata
 ) -> None:
-    """Write weights in 16 bits, whole or not at all.
+    """Write weights in 16 bits, atomically.
 
     Args:
         path: The file.
-        weights: By name, as a module's ``state_dict`` has them.
+        weights: A module's ``state_dict``.
         metadata: Metadata to write into it.
 
     Raises:
-        WeightsError: One does not fit into 16 bits.
+        WeightsError: A value is not finite in 16 bits.
         DatasetError: The disk is full, or the folder cannot be written to.
     """
     write_tensors(path, in_16_bits(weights), metadata)
 
 
 def in_16_bits(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return copies in memory of weights, those with a fraction in 16 bits.
+    """Return copies of weights on the CPU, floating-point ones in 16 bits.
 
     Raises:
-        WeightsError: One does not fit into 16 bits.
+        WeightsError: A value is not finite in 16 bits.
     """
     tensors = {}
     for name, value in weights.items():
@@ -117,7 +117,7 @@ def in_16_bits(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) -> None:
-    """Write into a file of weights how the run ended that they are the best of.
+    """Write the end of the training run into the file of its best weights.
 
     Args:
         path: The file.
@@ -125,7 +125,7 @@ def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) ->
         steps: Number of steps done.
 
     Raises:
-        WeightsError: It is missing or damaged.
+        WeightsError: The file is missing or damaged.
         DatasetError: The disk is full, or the folder cannot be written to.
     """
     metadata = replace(read_metadata(path), ended=ended, steps=steps)
@@ -137,11 +137,11 @@ def mark_ended(path: Path, ended: Literal["steps", "time limit"], steps: int) ->
 def write_tensors(
     path: Path, tensors: dict[str, Tensor], metadata: WeightsMetadata
 ) -> None:
-    """Write tensors as they are, whole or not at all.
+    """Write tensors without conversion, atomically.
 
     Args:
         path: The file.
-        tensors: By name, in memory.
+        tensors: Tensors on the CPU, by name.
         metadata: Metadata to write into it.
 
     Raises:
@@ -151,17 +151,17 @@ def write_tensors(
 
     def write(draft: Path) -> None:
         save_file(tensors, draft, {METADATA_KEY: text})
-        # Without it only the owner may read them.
+        # By default only the owner may read the file.
         draft.chmod(0o644)
 
     write_whole(path, write)
 
 
 def read_metadata(path: Path) -> WeightsMetadata:
-    """Return what a file of weights says about itself.
+    """Return the metadata of a file of weights.
 
     Raises:
-        WeightsError: It is missing, damaged, or no such file.
+        WeightsError: The file is missing, damaged, or has no metadata of weights.
     """
     try:
         with safe_open(path, "pt") as file:
@@ -196,11 +196,11 @@ def read_metadata(path: Path) -> WeightsMetadata:
 
 
 def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
-    """Return the model in a file of weights, ready to be used.
+    """Return the model in a file of weights, in evaluation mode.
 
     Args:
         path: The file.
-        device: Where it shall be.
+        device: Device of the model.
 
     Raises:
         WeightsError: The file is missing, damaged, or does not fit its model.
@@ -208,7 +208,7 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
     metadata = read_metadata(path)
     if metadata.model.startswith(LEROBOT):
         raise WeightsError(
-            f"{path} holds a checkpoint of LeRobot, which commands motors. Put "
+            f"{path} holds a LeRobot checkpoint, which returns motor commands. Put "
             f"{LEROBOT!r} before its name."
         )
     try:
@@ -218,7 +218,7 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             options[part] = {**values, **options.get(part, {})}
         with safe_open(path, "pt") as file:
             found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
-            # First a model that takes no memory: sizes in their ranges may be large.
+            # Check shapes on "meta" first: valid options may need much memory.
             with torch.device("meta"), _Unfilled():
                 wanted = make_model(metadata.model, options).state_dict()
             _check_shapes(path, metadata, file, found, wanted)
@@ -239,16 +239,16 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
             f"again: {metadata.command or 'lemma train'}"
         ) from error
     except (SafetensorError, OSError, KeyError, ValueError, RuntimeError) as error:
-        # torch has RuntimeErrors for sizes that cannot be.
+        # torch raises RuntimeError for impossible sizes.
         raise _damaged(path, error) from error
     return model.to(device).eval()
 
 
 class _Unfilled(TorchFunctionMode):
-    """Leaves out the numbers that new weights begin with: those of a file follow.
+    """Skips the initialisation of weights, which a file then overwrites.
 
-    Drawing them takes time, and on the device "meta", which has none to draw, torch
-    would load its compiler for it: a second.
+    Initialisation takes time; on the device "meta" torch would even load its compiler,
+    which takes a second.
     """
 
     def __torch_function__(
@@ -266,7 +266,7 @@ class _Unfilled(TorchFunctionMode):
 
 
 def _renamed(name: str, former: Mapping[str, str]) -> str:
-    """Return the present name of weights."""
+    """Return the present name of a tensor with a former name."""
     for pattern, now in former.items():
         name = re.sub(pattern, now, name)
     return name
@@ -279,17 +279,17 @@ def _check_shapes(
     names: Mapping[str, str],
     wanted: Mapping[str, Tensor],
 ) -> None:
-    """Check that a file has the tensors of a model, before any is read.
+    """Check that a file has the tensors of a model, before reading them.
 
     Args:
         path: Path of the file.
         metadata: Metadata of the file.
         file: The opened file.
         names: Names of tensors in the file, by their present names.
-        wanted: Tensors that the model has.
+        wanted: Tensors of the model.
 
     Raises:
-        WeightsError: They are of another model, or of other options.
+        WeightsError: Names or shapes differ from those of the model.
     """
     found = {
         now: metadata.packed[name].shape
@@ -316,10 +316,10 @@ def _check_shapes(
 def _read_tensor(
     file: Any, name: str, metadata: WeightsMetadata, like: Tensor
 ) -> Tensor:
-    """Return a tensor of a file, of the type that a model's own has.
+    """Return a tensor of a file, with the type of the model's tensor.
 
     Raises:
-        ValueError: It is of another type, or not finite.
+        ValueError: Its type does not match, or it is not finite.
     """
     value: Tensor = file.get_tensor(name)
     if name in metadata.packed:
@@ -337,14 +337,14 @@ def _read_tensor(
 def unpack(coded: Tensor, rounding: Rounding) -> Tensor:
     """Return the values of a packed tensor, float32.
 
-    It takes no more memory than the shape needs, even for damaged codes.
+    Its memory is bounded by the shape, even for damaged codes.
 
     Args:
-        coded: (bytes,) uint8.
-        rounding: How it was rounded.
+        coded: Code, (bytes,) uint8.
+        rounding: Quantisation of the tensor.
 
     Raises:
-        ValueError: The code is not that of such a tensor.
+        ValueError: The code is damaged, or does not have as many values as the shape.
     """
     if not 0.0 < rounding.step < _LARGEST_STEP:
         raise ValueError(f"a step of {rounding.step}")
@@ -366,7 +366,7 @@ def _decoded(coded: bytes, count: int) -> NDArray[np.int32]:
         if len(found) != count:
             raise ValueError(f"{len(found)} values or more instead of {count}")
         planes.append(np.frombuffer(found, np.uint8).astype(np.int32))
-        # Empty where the code is cut off, or goes on behind its end.
+        # The second stream begins behind the end of the first.
         coded = decoder.unconsumed_tail or decoder.unused_data
     folded = planes[0] | (planes[1] << 8)
     numbers: NDArray[np.int32] = (folded >> 1) ^ -(folded & 1)

@@ -12,6 +12,7 @@ from lemma.robots.geometry import (
     DARK,
     METAL,
     Box,
+    Rgba,
     add_box,
     box_inertia,
     draw,
@@ -22,25 +23,37 @@ from lemma.robots.gripper import (
     FINGER_THICKNESS_M,
     FINGER_WIDTH_M,
     FINGERTIP_BEYOND_TCP_M,
-    GRIP_FORCE_N,
     MASS_KG,
     PALM_BEYOND_FLANGE_M,
     SKIN_M,
     TCP_OFFSET_M,
 )
+from lemma.robots.hand import (
+    HANDS,
+    RUBBER_FRICTION,
+    RUBBER_SOLIMP,
+    RUBBER_SOLREF,
+    STANDARD,
+)
 from lemma.robots.ur.meshes import Loft, Surface, mesh
 
 _FINGER_MASS_KG = 0.1
-# At full force the width changes at 0.2 m/s: the full stroke takes 0.5 s.
-_WIDTH_DAMPING = GRIP_FORCE_N / 0.2
+# Speed of the width at full force: the full stroke takes 0.5 s.
+_CLOSING_M_S = 0.2
 # Reflected inertia of the screw drive; it also improves the numerical conditioning.
 _FINGER_ARMATURE = 5.0
 _SERVO_STIFFNESS = 5000.0
 _PALM = Box((0.0, 0.0, 0.051), (0.060, 0.112, 0.042))
+_ORANGE: Rgba = (0.93, 0.49, 0.08, 1.0)
+"""Palm of a hand that is not the standard one."""
 
 
 def add_gripper(
-    spec: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str, flange_z_m: float
+    spec: mujoco.MjSpec,
+    parent: mujoco.MjsBody,
+    prefix: str,
+    flange_z_m: float,
+    hand: str = STANDARD,
 ) -> mujoco.MjsBody:
     """Add a gripper to the last link of an arm.
 
@@ -49,6 +62,8 @@ def add_gripper(
         parent: The last link; its z axis points out of the flange.
         prefix: Name of the robot.
         flange_z_m: Height of the flange in the frame of ``parent`` [m].
+        hand: A name in :data:`~lemma.robots.hand.HANDS`. Any but the standard one has
+            an orange palm.
 
     Returns:
         The body ``<prefix>/gripper``, whose frame is that of the flange.
@@ -57,14 +72,15 @@ def add_gripper(
     palm_mass = MASS_KG - 2.0 * _FINGER_MASS_KG
     set_inertia(palm, palm_mass, (0, 0, 0.04), box_inertia(palm_mass, _PALM.size))
     add_box(palm, f"{prefix}/palm", _PALM)
-    for part, paint in (("coupling", METAL), ("palm", DARK)):
+    paints = {"coupling": METAL, "palm": DARK if hand == STANDARD else _ORANGE}
+    for part, paint in paints.items():
         draw(spec, palm, f"gripper/{part}", _looks()[part], paint)
     palm.add_site(
         name=f"{prefix}/tcp", pos=[0, 0, TCP_OFFSET_M], size=[0.005] * 3, group=4
     )
     _add_finger(spec, palm, prefix, "left", 1.0)
     _add_finger(spec, palm, prefix, "right", -1.0)
-    _couple_fingers(spec, prefix)
+    _couple_fingers(spec, prefix, HANDS[hand].force_n)
     return palm
 
 
@@ -109,22 +125,23 @@ def _make_rubber(pad: mujoco.MjsGeom) -> None:
     """Set the contact parameters of a pad; they override those of objects."""
     pad.priority = 1
     pad.condim = 4
-    pad.friction = [1.2, 0.02, 0.0001]
+    pad.friction = RUBBER_FRICTION
     # Stiffness and damping of the contact [1/s2, 1/s]. Friction stops slip by damping
     # alone. In an arm that moves on a curve, a held object drifts by
     # (1 / damping - h / 2) times the centripetal acceleration, with h the time step.
     # At h = 5 ms, a damping of 280 has two fifths of the drift of the usual 200; from
     # about 320 the fingers bounce.
-    pad.solref = [-10000.0, -280.0]
+    pad.solref = RUBBER_SOLREF
     # Constant, high impedance: lower values let a loaded object creep.
-    pad.solimp = [0.998, 0.998, 0.001, 0.5, 2.0]
+    pad.solimp = RUBBER_SOLIMP
     pad.margin = SKIN_M
 
 
-def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
+def _couple_fingers(spec: mujoco.MjSpec, prefix: str, force_n: float) -> None:
     """Drive the opening width by one servo and keep the fingers symmetric."""
     left, right = f"{prefix}/finger_left", f"{prefix}/finger_right"
-    width = spec.add_tendon(name=f"{prefix}/width", damping=[_WIDTH_DAMPING, 0, 0])
+    damping = force_n / _CLOSING_M_S
+    width = spec.add_tendon(name=f"{prefix}/width", damping=[damping, 0, 0])
     width.wrap_joint(left, 1.0)
     width.wrap_joint(right, 1.0)
     coupling = spec.add_equality(
@@ -147,7 +164,7 @@ def _couple_fingers(spec: mujoco.MjSpec, prefix: str) -> None:
         ctrllimited=True,
         ctrlrange=[0.0, FINGER_OPENING_M],
         forcelimited=True,
-        forcerange=[-GRIP_FORCE_N, GRIP_FORCE_N],
+        forcerange=[-force_n, force_n],
     )
     spec.add_exclude(bodyname1=left, bodyname2=right)
 

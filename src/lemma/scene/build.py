@@ -50,12 +50,12 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
     _add_room(world)
     _add_table(world, spec.gap_m)
     for name, robot in zip(spec.robot_names, spec.robots, strict=True):
-        add_arm(world, ARMS[robot.arm], name, robot.base, robot.color)
+        add_arm(world, ARMS[robot.arm], name, robot.base, robot.color, robot.hand)
         pose, fovy = camera_mount(robot)
         add_camera(world, f"{name}/camera", pose, fovy)
         _set_actuation(world, name, ARMS[robot.arm], actuation)
     for placed in spec.objects:
-        add_object(world, placed.entity, placed.pose)
+        add_object(world, placed.entity, placed.pose, placed.mass_kg)
     return world.compile()
 
 

@@ -8,9 +8,11 @@ from lemma.core.arguments import known, real
 from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_names
+from lemma.core.seeding import ordered_sum
+from lemma.robots.hand import HANDS, STANDARD, carries_kg
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.objects.entity import Entity
-from lemma.scene.objects.kind import OBJECT_KINDS
+from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.scene.table import TABLE_HALF_X_M, Gap
 
@@ -19,16 +21,17 @@ PAIR_COLORS = ROBOT_COLORS[:2]
 """The colors of robots in teams of two."""
 _LEAST_TOP_M = 0.3
 """Smallest width of a table top."""
+_LEAST_KG, _MOST_KG = 0.01, 100.0
 ROOM_M = 10.0
 """Largest absolute x and y of robots and objects [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotPlacement:
-    """One robot: arm type, color and base.
+    """One robot: arm type, color, base and hand.
 
     Raises:
-        UnknownNameError: No such arm or color.
+        UnknownNameError: No such arm, hand or color.
         InvalidConfigError: The base is not a pose in the room.
     """
 
@@ -38,21 +41,43 @@ class RobotPlacement:
     """One of :data:`ROBOT_COLORS`."""
     base: Pose2
     """World from base; the base's x axis is the robot's front."""
+    hand: str = STANDARD
+    """A name in ``lemma.robots.hand.HANDS``."""
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
         ARMS[self.arm]
+        HANDS[self.hand]
         known("robot color", self.color, ROBOT_COLORS)
         _check_pose(f"base of the {self.arm}", self.base)
+
+    @property
+    def carries_kg(self) -> float:
+        """Largest mass that it may carry, for its hand and its arm [kg]."""
+        return carries_kg(self.arm, self.hand)
+
+    def overload(self, name: str, thing: "ObjectPlacement") -> str:
+        """Return why an object is too heavy for it; empty if it is not.
+
+        Args:
+            name: Its name.
+            thing: The object.
+        """
+        if thing.weight_kg <= self.carries_kg:
+            return ""
+        return (
+            f"The {thing.name} weighs {thing.weight_kg:g} kg, but {name} ({self.arm}, "
+            f"{self.hand} hand) carries {self.carries_kg:.2g} kg."
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectPlacement:
-    """One object: kind, color and pose.
+    """One object: kind, color, pose and mass.
 
     Raises:
         UnknownNameError: No such kind or color.
-        InvalidConfigError: The pose is not in the room.
+        InvalidConfigError: The pose is not in the room, or it cannot have such a mass.
     """
 
     kind: str
@@ -62,12 +87,25 @@ class ObjectPlacement:
     a color of its own, such as ``"yellow"`` for the stick."""
     pose: Pose2
     """World from object; the object lies on the table."""
+    mass_kg: float | None = None
+    """Mass [kg]; None if it is that of the kind. Only a box of one part may have
+    another one."""
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
         if OBJECT_KINDS[self.kind].colored:
             OBJECT_COLORS[self.color]
         _check_pose(f"pose of the {self.name}", self.pose)
+        if self.mass_kg is not None:
+            _check_mass(self.name, OBJECT_KINDS[self.kind], self.mass_kg)
+
+    @property
+    def weight_kg(self) -> float:
+        """Its mass, be it its own or its kind's [kg]; 0 for what is fixed."""
+        if self.mass_kg is not None:
+            return self.mass_kg
+        parts = OBJECT_KINDS[self.kind].parts
+        return ordered_sum(part.mass_kg or 0.0 for part in parts)
 
     @property
     def entity(self) -> Entity:
@@ -129,6 +167,12 @@ class SceneSpec:
         return tuple(placed.name for placed in self.objects)
 
     @property
+    def other_hands(self) -> tuple[str, ...]:
+        """The robots' hands by name; empty where all have the standard one."""
+        hands = tuple(robot.hand for robot in self.robots)
+        return hands if set(hands) - {STANDARD} else ()
+
+    @property
     def regions(self) -> Mapping[str, tuple[int, ...]]:
         """Names of regions, with the indices of their robots.
 
@@ -163,6 +207,19 @@ def _check_gap(gap: object) -> None:
     if not left < right:
         raise InvalidConfigError(
             f"gap_m={shown(gap)} has no width. Valid: x from and to [m]."
+        )
+
+
+def _check_mass(name: str, kind: ObjectKind, mass_kg: object) -> None:
+    """Check that a thing can have a mass of its own.
+
+    Raises:
+        InvalidConfigError: It cannot.
+    """
+    real(f"mass of the {name}", mass_kg, _LEAST_KG, _MOST_KG)
+    if kind.fixed or [part.shape for part in kind.parts] != ["box"]:
+        raise InvalidConfigError(
+            f"The {name} cannot have a mass of its own: only a box of one part can."
         )
 
 

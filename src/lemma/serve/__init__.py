@@ -1,7 +1,7 @@
-"""Policies in other processes: the socket, and its protocol.
+"""Policies in other processes: sockets and protocols.
 
-Serving a policy needs NumPy, msgspec and websockets, and the policy's own packages:
-neither MuJoCo nor torch is imported here.
+Serving a policy needs only NumPy, msgspec and websockets besides the policy's own
+packages; this package imports neither MuJoCo nor torch.
 """
 
 from lemma.serve.server import PolicyServer, serve

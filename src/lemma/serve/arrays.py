@@ -1,4 +1,4 @@
-"""Arrays and views as messages: the raw bytes of NumPy's arrays."""
+"""Arrays and views as messages, with the raw bytes of NumPy arrays."""
 
 import math
 from typing import Any, Self
@@ -18,13 +18,13 @@ VIEW_ARRAYS = {
     "joints": ("float64", 2),
     "opening_m": ("float64", 1),
 }
-"""Type and number of dimensions of every array of a view."""
+"""Data type and number of dimensions of every array of a view."""
 ARRAY_TYPES = ("bool", "int8", "uint8", "int64", "float32", "float64")
-"""Valid types of numbers."""
+"""Valid data types."""
 
 
 class Array(msgspec.Struct):
-    """An array, little-endian, last index fastest."""
+    """An array in C order with little-endian numbers."""
 
     dtype: str
     shape: list[int]
@@ -32,7 +32,7 @@ class Array(msgspec.Struct):
 
     @classmethod
     def of(cls, array: NDArray[Any], dtype: str) -> Self:
-        """Return an array as a message."""
+        """Return an array as a message, converted to a data type."""
         plain = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
         return cls(dtype, list(plain.shape), memoryview(plain.tobytes()))
 
@@ -40,10 +40,10 @@ class Array(msgspec.Struct):
         """Return the array, read-only.
 
         Args:
-            name: For messages to people.
+            name: Name of the array, for error messages.
 
         Raises:
-            ProtocolError: It is damaged.
+            ProtocolError: Type, shape and data do not match, or are not valid.
         """
         if self.dtype not in ARRAY_TYPES:
             raise ProtocolError(
@@ -64,7 +64,7 @@ class Array(msgspec.Struct):
 
 
 class ViewMessage(msgspec.Struct):
-    """A view, and the number by which inputs refer to it on this connection."""
+    """A view, with the number by which inputs on this connection refer to it."""
 
     number: int
     rgb: Array
@@ -86,7 +86,7 @@ class ViewMessage(msgspec.Struct):
         """Return the view.
 
         Raises:
-            ProtocolError: An array is of another type or shape, or damaged.
+            ProtocolError: An array has a wrong type or shape, or is damaged.
         """
         arrays = {}
         for name, (dtype, dimensions) in VIEW_ARRAYS.items():

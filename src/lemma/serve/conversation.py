@@ -1,9 +1,8 @@
-"""The side of a conversation that asks a policy in another process.
+"""The client side of the policy protocol.
 
-Inputs hold the whole past, but a view is not sent twice in a row: both sides keep the
-views of the last request on a connection, and refer to them by number. Requests do not
-depend on each other, so one may be sent again on a new connection, where the policy
-knows no views.
+Inputs contain the whole past. To save bandwidth, both sides keep the views of the last
+request on a connection, and refer to them by number. Requests do not depend on each
+other, so a request can be sent again on a new connection, together with all its views.
 """
 
 import time
@@ -32,9 +31,9 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 _PAUSE_S = 0.1
 _LONGEST_PAUSE_S = 3.0
 HELLO_S = 30.0
-"""For the answer to the first message [s]."""
+"""Time limit for the answer to the first message [s]."""
 LARGEST_HELLO_BYTES = 1 << 20
-"""Size limit of that answer, which results hold."""
+"""Size limit of that answer, which is stored in results [bytes]."""
 _SHOWN = 500
 
 R = TypeVar("R", bound=messages.Reply)
@@ -56,7 +55,7 @@ class Channel(Protocol):
         """Return the next message.
 
         Raises:
-            TimeoutError: There is none in time.
+            TimeoutError: No message came in time.
             OSError: The other side is gone.
         """
         ...
@@ -68,28 +67,29 @@ class Channel(Protocol):
 
 @dataclass(frozen=True)
 class ProtocolMode:
-    """How patient the asking side is."""
+    """Time limits and retries of a client."""
 
     timeout_s: float
-    """For one decision; a batch of n has n times as long."""
+    """Time limit for one decision [s]; a batch of n has n times as long."""
     patience_s: float = 60.0
-    """How long it tries to connect again."""
+    """Time limit for a new connection after a lost one [s]."""
     first_patience_s: float = 10.0
-    """How long it tries to connect at first, so that a wrong address shows soon."""
+    """Time limit for the first connection [s]; short, as the address may be wrong."""
     deaths: int = 3
-    """How often the other side may die of one request before that is its fault."""
+    """Attempts of a request that ends the other side, before it counts as a fault of
+    the policy."""
 
 
 def keep_trying(connect: Callable[[], T], where: str, patience_s: float) -> T:
-    """Return a connection, trying again for a while.
+    """Return a connection; try again until a time limit.
 
     Args:
-        connect: Opens it; raises OSError where nobody answers.
-        where: The address, for messages to people.
-        patience_s: How long to try [s].
+        connect: Function that opens the connection, or raises an OSError.
+        where: The address, for error messages.
+        patience_s: Time limit [s].
 
     Raises:
-        PolicyUnreachableError: Nobody answers.
+        PolicyUnreachableError: There was no connection in time.
     """
     end = time.monotonic() + patience_s
     pause_s = _PAUSE_S
@@ -99,16 +99,16 @@ def keep_trying(connect: Callable[[], T], where: str, patience_s: float) -> T:
         except OSError as error:
             if time.monotonic() + pause_s > end:
                 raise PolicyUnreachableError(
-                    f"Nobody answers at {where}: {error}. Tried for {patience_s:g} s. "
-                    "Start the policy there (lemma serve, or its model server) and run "
-                    "the same command again: finished episodes are kept."
+                    f"No answer from {where} for {patience_s:g} s: {error}. Start the "
+                    "policy there (lemma serve, or its model server) and run the same "
+                    "command again: finished episodes are kept."
                 ) from error
         time.sleep(pause_s)
         pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
 
 
 class Conversation:
-    """Asks a policy in another process."""
+    """A client's connection to a policy in another process."""
 
     def __init__(
         self, where: str, connect: Callable[[], Channel], mode: ProtocolMode
@@ -116,13 +116,13 @@ class Conversation:
         """Connect for the first time.
 
         Args:
-            where: The address, for messages to people.
-            connect: Opens a channel; raises OSError where nobody answers.
-            mode: How patient to be.
+            where: The address, for error messages.
+            connect: Function that opens a channel, or raises an OSError.
+            mode: Time limits and retries.
 
         Raises:
-            PolicyUnreachableError: Nobody answers.
-            ProtocolError: The other side speaks another protocol.
+            PolicyUnreachableError: There was no connection in time.
+            ProtocolError: The other side uses another protocol.
         """
         self.where = where
         self._connect = connect
@@ -133,7 +133,7 @@ class Conversation:
         self.welcome = self._open(mode.first_patience_s)
 
     def close(self) -> None:
-        """Hang up; the next question connects again."""
+        """Close the connection; the next request opens a new one."""
         if self._channel is not None:
             self._channel.close()
         self._channel = None
@@ -146,19 +146,20 @@ class Conversation:
         wanted: type[R],
         **more: Any,
     ) -> R:
-        """Return the answer to a question about episodes.
+        """Send a request about episodes, and return the answer.
 
         Args:
-            question: :class:`~lemma.serve.messages.Act`, ``Plan`` or ``Ground``.
+            question: Class of the request: :class:`~lemma.serve.messages.Act`,
+                ``Plan``, ``Ground`` or ``Together``.
             inputs: One per episode.
-            wanted: The answer that belongs to the question.
-            more: Other fields of the question.
+            wanted: Class of the answer to this request.
+            more: Other fields of the request.
 
         Raises:
             PolicyFailedError: The policy raised, gave a malformed answer or none in
-                time, or died of the question.
-            PolicyUnreachableError: Nobody answers any more.
-            ProtocolError: The other side did not understand.
+                time, or its process ended at each attempt.
+            PolicyUnreachableError: The connection is lost and cannot be opened again.
+            ProtocolError: The other side did not understand the request.
         """
 
         def make() -> messages.Request:
@@ -167,7 +168,7 @@ class Conversation:
         return self._decide(make, len(inputs), wanted)
 
     def control(self, inputs: Sequence[messages.ControlMessage]) -> messages.Commands:
-        """Return the answer to a question about motor commands.
+        """Send a request for motor commands, and return the answer.
 
         Args:
             inputs: One per episode.
@@ -181,7 +182,7 @@ class Conversation:
     def _decide(
         self, make: Callable[[], messages.Request], count: int, wanted: type[R]
     ) -> R:
-        """Return the answer to a request about so many episodes."""
+        """Return the answer to a request about ``count`` episodes."""
         allowed_s = self.mode.timeout_s * count
         for _ in range(self.mode.deaths):
             if self._channel is None:
@@ -211,7 +212,7 @@ class Conversation:
     def _referring(self, inputs: Sequence[PolicyInput]) -> dict[str, Any]:
         """Return the inputs and the new views of a request.
 
-        From now on the other side is taken to know the views of this request alone.
+        Later requests assume that the other side has the views of this request only.
         """
         known, self._sent = self._sent, {}
         written, new = list[messages.InputMessage](), []
@@ -236,7 +237,8 @@ class Conversation:
                 for step in policy_input.past
             ]
             number, robots = self._sent[policy_input.view], list(policy_input.robots)
-            plain = (policy_input.instruction, robots, number, past)
+            hands = list(policy_input.hands)
+            plain = (policy_input.instruction, robots, number, past, hands)
             if isinstance(policy_input, TeamInput):
                 team_message = messages.TeamMessage(
                     *plain,
@@ -252,14 +254,14 @@ class Conversation:
         return {"inputs": written, "views": new}
 
     def _ask(self, request: messages.Request, wanted: type[R], timeout_s: float) -> R:
-        """Return the answer to a message.
+        """Send a request once, and return the answer.
 
         Raises:
-            TimeoutError: There is none in time.
+            TimeoutError: No answer came in time.
             OSError: The other side is gone.
             PolicyFailedError: The policy raised or gave a malformed answer.
-            PolicyUnreachableError: The policy's machine is in trouble.
-            ProtocolError: The other side did not understand.
+            PolicyUnreachableError: The policy's machine lacks memory, disk or files.
+            ProtocolError: The other side did not understand the request.
         """
         assert self._channel is not None
         end = time.monotonic() + timeout_s
@@ -283,8 +285,8 @@ class Conversation:
         """Connect, and return the answer to the first message.
 
         Raises:
-            PolicyUnreachableError: Nobody answers.
-            ProtocolError: The other side speaks another protocol.
+            PolicyUnreachableError: There was no connection in time.
+            ProtocolError: The other side uses another protocol.
         """
 
         def connect() -> messages.Welcome:
@@ -304,13 +306,13 @@ class Conversation:
             welcome = self._ask(hello, messages.Welcome, HELLO_S)
         except PolicyFailedError as error:
             raise ProtocolError(
-                f"{self.where} does not answer 'hello' as a policy does: {error}"
+                f"{self.where} does not answer 'hello' like a policy: {error}"
             ) from error
         if welcome.protocol != version:
             raise ProtocolError(
-                f"{self.where} speaks version {welcome.protocol} of the policy "
-                f"protocol, and this is version {version}. Install the same version "
-                "of lemma-bench on both sides."
+                f"{self.where} uses version {welcome.protocol} of the policy protocol, "
+                f"this client version {version}. Install the same version of "
+                "lemma-bench on both sides."
             )
         return welcome
 
@@ -319,31 +321,31 @@ class Remote:
     """A policy in another process."""
 
     def __init__(self, conversation: Conversation) -> None:
-        """Keep the connection."""
+        """Use a connection."""
         self.conversation = conversation
         self._episodes = counting()
 
     @property
     def about(self) -> dict[str, Any]:
-        """The description that the policy gives of itself."""
+        """The policy's description of itself."""
         return dict(self.conversation.welcome.policy)
 
     @property
     def keeps_state(self) -> bool:
-        """Whether it says that it remembers other episodes."""
+        """Whether the policy declares that it keeps state across episodes."""
         return self.about.get("keeps_state") is True
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.conversation.close()
 
 
 class _Acts(Remote):
-    """Decides on everything, or on motor commands."""
+    """A remote policy with ``act``, at skill or control level."""
 
     @property
     def control_options(self) -> dict[str, Any]:
-        """In which environment it acts, at control level."""
+        """Options of the environment in which it acts, at control level."""
         return dict(self.about.get("control_options", {}))
 
     def act(
@@ -352,7 +354,7 @@ class _Acts(Remote):
         """Return the next decision of each episode, or its next actions.
 
         Raises:
-            PolicyFailedError: It has none.
+            PolicyFailedError: The policy failed or gave no valid answer.
         """
         controls = [one for one in inputs if isinstance(one, ControlInput)]
         if controls:
@@ -362,7 +364,7 @@ class _Acts(Remote):
         return _counted(reply.decisions, "decisions", len(inputs))
 
     def _control(self, inputs: Sequence[ControlInput]) -> list[Actions]:
-        # The memory stays with the policy; here it is the number of the episode.
+        # The server keeps the policy's memory; here it is the episode's number.
         asked = [
             messages.ControlMessage.of(
                 control_input,
@@ -383,7 +385,7 @@ class _Acts(Remote):
 
 
 class _ActsTogether(Remote):
-    """Gives orders to the free robots of a team."""
+    """A remote policy that gives orders to the free robots of a team."""
 
     @property
     def asks_robots(self) -> bool:
@@ -394,35 +396,35 @@ class _ActsTogether(Remote):
         """Return the orders of each episode.
 
         Raises:
-            PolicyFailedError: It has none.
+            PolicyFailedError: The policy failed or gave no valid answer.
         """
         reply = self.conversation.decide(messages.Together, inputs, messages.AllOrders)
         return _counted(reply.orders, "orders", len(inputs))
 
 
 class _Plans(Remote):
-    """Decides in symbols."""
+    """A remote planner: its decisions are sub-tasks without poses."""
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode.
 
         Raises:
-            PolicyFailedError: It has none.
+            PolicyFailedError: The policy failed or gave no valid answer.
         """
         reply = self.conversation.decide(messages.Plan, inputs, messages.SubTasks)
         return _counted(reply.subtasks, "subtasks", len(inputs))
 
 
 class _Grounds(Remote):
-    """Decides on poses."""
+    """A remote grounder: it adds poses to sub-tasks."""
 
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        """Return each sub-task with poses; None where there are none.
+        """Return each sub-task with poses; None for one without.
 
         Raises:
-            PolicyFailedError: It did not answer.
+            PolicyFailedError: The policy failed or gave no valid answer.
         """
         reply = self.conversation.decide(
             messages.Ground, inputs, messages.Poses, subtasks=list(subtasks)
@@ -439,10 +441,10 @@ _PARTS: dict[str, type[Remote]] = {
 
 
 def remote(conversation: Conversation) -> Remote:
-    """Return the policy at the other end, with the methods that it has there.
+    """Return a remote policy with the methods of the policy on the other side.
 
     Raises:
-        ProtocolError: It has none.
+        ProtocolError: That policy has none of the protocol's methods.
     """
     offered = conversation.welcome.methods
     bases = tuple(part for name, part in _PARTS.items() if name in offered)

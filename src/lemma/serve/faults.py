@@ -1,4 +1,4 @@
-"""Faults of policies, and trouble that is no fault of theirs."""
+"""Faults of policies, and errors that are not a policy's fault."""
 
 import errno
 import re
@@ -15,29 +15,29 @@ from lemma.core.errors import (
 from lemma.policies.planners.chat import PlannerUnavailableError
 
 UNAVAILABLE = "unavailable"
-"""Kind of an error message that says nothing about the policy."""
+"""Kind of an error message whose cause is not the policy."""
 _MACHINE = frozenset(
     getattr(errno, name)
     for name in ("ENOSPC", "EDQUOT", "EIO", "EROFS", "EMFILE", "ENFILE", "ENOMEM")
     if hasattr(errno, name)
 )
 _NO_MEMORY = re.compile(r"(?i)can't allocate memory|out of memory|start new thread")
-"""Messages of plain RuntimeErrors where memory, or room for threads, is missing."""
+"""Messages of RuntimeErrors for a lack of memory or threads."""
 
 
 class FaultKind(StrEnum):
-    """The ways in which a policy can fail to decide."""
+    """Kinds of a policy's faults."""
 
     RAISED = "raised"
     """It raised an exception."""
     TIMEOUT = "timeout"
     """It did not answer in time."""
     DIED = "died"
-    """Its process or its connection ended whenever it was asked this."""
+    """Its process or connection ended at each attempt of a request."""
     MALFORMED = "malformed"
-    """It answered something of another type, shape or number."""
+    """Its answer has a wrong type, shape or number of elements."""
     NOT_FINITE = "not_finite"
-    """It answered a pose that is not a number, or that lies beyond every table."""
+    """Its answer has a pose that is NaN or infinite, or far outside of the table."""
     UNKNOWN_NAME = "unknown_name"
     """It named a robot, a primitive or an entity that does not exist."""
     UNSTABLE = "unstable"
@@ -45,30 +45,30 @@ class FaultKind(StrEnum):
 
 
 class PolicyFailedError(LemmaError, RuntimeError):
-    """A policy in another process did not decide; asked again, others may fare better.
+    """A policy in another process gave no valid decision.
 
-    A fault of the policy: it costs the episodes that it was asked about.
+    This is a fault of the policy, so the episodes of the request fail.
     """
 
     def __init__(self, kind: FaultKind, explanation: str) -> None:
-        """Keep what happened.
+        """Create the error.
 
         Args:
-            kind: In one word.
-            explanation: In one sentence.
+            kind: Kind of the fault.
+            explanation: Details, as a sentence.
         """
         super().__init__(explanation)
         self.kind = kind
 
     def __reduce__(self) -> tuple[type["PolicyFailedError"], tuple[FaultKind, str]]:
-        """Return how another process builds it again."""
+        """Return class and arguments for pickling."""
         return type(self), (self.kind, str(self))
 
 
 class PolicyUnreachableError(LemmaError, RuntimeError):
-    """Nobody answers where a policy should be.
+    """A policy in another process cannot be reached.
 
-    No fault of the policy: nothing is known about what it would have decided.
+    This is not a fault of the policy, since it made no decision.
     """
 
 
@@ -84,14 +84,14 @@ _TROUBLE = (
 
 
 def trouble_of(error: BaseException) -> LemmaError | None:
-    """Return what ends the run if an error is no fault of the policy; else None.
+    """Return the error that ends the run if the policy is not at fault; else None.
 
-    So are errors about files, disks, weights, pictures and memory: nothing is known
-    about what the policy would have decided.
+    The policy is not at fault for errors about files, disks, weights, rendering and
+    memory.
     """
     if isinstance(error, _TROUBLE):
         return error
-    # torch raises errors of its own where a GPU or the machine has no memory left.
+    # torch has its own errors for a lack of memory on a GPU or the machine.
     memory = (
         isinstance(error, MemoryError)
         or type(error).__name__ == "OutOfMemoryError"
@@ -100,13 +100,13 @@ def trouble_of(error: BaseException) -> LemmaError | None:
     if memory or (isinstance(error, OSError) and error.errno in _MACHINE):
         return PolicyUnreachableError(
             f"The policy could not decide: {type(error).__name__}: "
-            f"{str(error).rstrip('.')}. That is trouble of the machine, and no fault "
+            f"{str(error).rstrip('.')}. This is a problem of the machine, not a fault "
             "of the policy. Free disk space, memory or files; the same command then "
-            "goes on."
+            "continues."
         )
-    # A policy may have wrapped it in an error of its own.
+    # A policy may have wrapped such an error in another one.
     return None if error.__cause__ is None else trouble_of(error.__cause__)
 
 
 class ProtocolError(LemmaError, RuntimeError):
-    """The other side says something that the protocol does not know."""
+    """The other side violates the protocol."""

@@ -1,8 +1,8 @@
-"""Other people's policies, each in a process of its own.
+"""Isolation of user-defined policies, each in its own process.
 
 A thread that hangs cannot be ended, and a library that crashes ends its process. A
-separate process can be killed and started again, whatever its policy does. It leads a
-process group of its own, so that the processes that a policy starts end with it.
+separate process can be killed and started again in both cases. It leads its own process
+group, so processes that a policy starts end with it.
 """
 
 import os
@@ -34,37 +34,37 @@ _LOOK_S = 1.0
 def isolate(
     name: str, timeout_s: float, arguments: Mapping[str, Any] | None = None
 ) -> Remote:
-    """Return a policy that lives in another process, which this one may kill.
+    """Start a policy in another process, and return a client for it.
 
     Args:
         name: Name of its class, ``"package.module:Class"``.
-        timeout_s: For one decision [s].
-        arguments: That it is called with, by name.
+        timeout_s: Time limit for one decision [s].
+        arguments: Keyword arguments of the class.
 
     Raises:
-        InvalidConfigError: There is no such class, or it cannot be made.
+        InvalidConfigError: There is no such class, or its construction fails.
     """
     mode = ProtocolMode(timeout_s, patience_s=0.0, first_patience_s=0.0, deaths=1)
     return remote(Conversation(name, lambda: ProcessChannel(name, arguments), mode))
 
 
 class ProcessChannel:
-    """A process with a policy, and the pipe to it."""
+    """A channel to a policy in a child process: the process and a pipe to it."""
 
     def __init__(self, name: str, arguments: Mapping[str, Any] | None = None) -> None:
-        """Start the process and wait until its policy is there.
+        """Start the process, and wait until its policy is constructed.
 
         Args:
             name: Name of the policy's class.
-            arguments: That it is called with, by name.
+            arguments: Keyword arguments of the class.
 
         Raises:
-            PolicyUnreachableError: It died, or takes too long.
-            InvalidConfigError: There is no such class, or it cannot be made.
+            PolicyUnreachableError: The process ended, or takes too long.
+            InvalidConfigError: There is no such class, or its construction fails.
         """
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        # A daemon is ended with this process; "host" then lets it have children.
+        # A daemon ends with this process; "host" then allows it to have children.
         self._process = context.Process(
             target=host,
             args=(theirs, name, arguments),
@@ -74,16 +74,16 @@ class ProcessChannel:
         try:
             self._process.start()
             theirs.close()
-            # It also runs where workers end, which call no "atexit" functions.
+            # A finalizer also runs in workers, which call no "atexit" functions.
             self._kill = Finalize(self, _kill, (self._process,), exitpriority=100)
             ready = messages.decode_reply(self.receive(_START_S))
         except OSError as error:
             self.close()
             raise PolicyUnreachableError(
                 f"The process of the policy {name} could not start: "
-                f"{error or f'it took more than {_START_S:g} s'}. If it printed "
-                "something, that says why. It imports the program that starts it: "
-                "save that in a file, and put what it does under "
+                f"{error or f'it took more than {_START_S:g} s'}. See its output for "
+                "the reason. The process imports the main program again: save the "
+                "program in a file, and put its actions under "
                 "'if __name__ == \"__main__\":'."
             ) from error
         if isinstance(ready, messages.Error):
@@ -102,12 +102,12 @@ class ProcessChannel:
         """Return the next message.
 
         Raises:
-            TimeoutError: There is none in time.
+            TimeoutError: No message came in time.
             OSError: The process is gone.
-            PolicyUnreachableError: The system has killed it.
+            PolicyUnreachableError: The system has killed the process.
         """
         end = time.monotonic() + timeout_s
-        # The children of a dead process may hold its end of the pipe open.
+        # Children of a dead process may keep its end of the pipe open.
         while not self._pipe.poll(min(_LOOK_S, max(0.0, end - time.monotonic()))):
             if not (self._process.is_alive() or self._pipe.poll()):
                 raise self._ended()
@@ -123,9 +123,9 @@ class ProcessChannel:
         code = self._process.exitcode
         if code == -signal.SIGKILL:
             return PolicyUnreachableError(
-                "The process of the policy was killed, as the system does when memory "
-                "runs out. Free memory, or use fewer workers; the same command then "
-                "goes on."
+                "The process of the policy was killed, probably because the system ran "
+                "out of memory. Free memory, or use fewer workers; the same command "
+                "then continues."
             )
         why = "no exit code" if code is None else f"exit code {code}"
         if code is not None and code < 0:
@@ -152,16 +152,16 @@ def _kill(process: BaseProcess) -> None:
 def host(
     pipe: "Connection[Any, Any]", name: str, arguments: Mapping[str, Any] | None
 ) -> None:
-    """Make a policy and answer for it until the pipe is closed.
+    """Construct a policy, and answer requests until the pipe is closed.
 
     Args:
-        pipe: To the process that asks.
+        pipe: Pipe to the parent process.
         name: Name of the policy's class.
-        arguments: That it is called with, by name.
+        arguments: Keyword arguments of the class.
     """
     with suppress(AttributeError, OSError):
         os.setsid()
-    # Daemons may have no children, and policies may start processes.
+    # Daemons may not have children, but policies may need some.
     current_process().daemon = False
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
@@ -172,9 +172,9 @@ def host(
         pipe.send_bytes(messages.encode(refusal))
         return
     if "torch" in sys.modules:
-        # Else it fights the other workers for cores.
+        # More threads would compete with the other workers for cores.
         sys.modules["torch"].set_num_threads(1)
-    # The answer to a hello, although none was sent, says that it is ready.
+    # Send the answer to a hello without a request: it signals readiness.
     hello = messages.encode(messages.Hello(protocol=messages.PROTOCOL))
     pipe.send_bytes(session.answer(hello))
     with suppress(EOFError, OSError, KeyboardInterrupt):

@@ -1,8 +1,8 @@
 """Messages of the policy protocol; docs/serving.md lists them all.
 
-Each is a struct, and becomes a msgpack map with a ``type``. Sub-tasks and decisions
-travel as the records that policies use, so the names of their fields are part of the
-protocol.
+Each message is a struct, encoded as a msgpack map with a ``type``. Sub-tasks and
+decisions are encoded as the records that policies use, so the names of their fields are
+part of the protocol.
 """
 
 from collections.abc import Mapping
@@ -24,15 +24,15 @@ from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 PROTOCOL = 2
-"""Version of the protocol: the first thing that both sides compare."""
+"""Version of the protocol; both sides compare it in their first messages."""
 METHODS = ("act", "plan", "ground", "act_together")
 """Methods that a policy may have."""
 LARGEST_BYTES = 1 << 28
-"""Largest message: ten episodes with all their views need far less."""
+"""Size limit of a message [bytes]; ten episodes with all views need far less."""
 
 
 class StepMessage(msgspec.Struct):
-    """A decision of the past."""
+    """An earlier decision, with its outcome."""
 
     view: int
     subtask: SubTask
@@ -47,6 +47,7 @@ class InputMessage(msgspec.Struct):
     robots: list[str]
     view: int
     past: list[StepMessage] = []
+    hands: list[str] = []
 
 
 class TeamMessage(InputMessage, kw_only=True):
@@ -62,14 +63,15 @@ class TeamMessage(InputMessage, kw_only=True):
         """Return the input.
 
         Args:
-            plain: The part of it that a sequential policy gets.
-            views: By number.
+            plain: The input as for a sequential policy.
+            views: Views by number.
         """
         return TeamInput(
             plain.instruction,
             plain.robots,
             plain.view,
             plain.past,
+            plain.hands,
             time_s=self.time_s,
             free=tuple(self.free),
             doing=self.doing,
@@ -82,19 +84,19 @@ class ControlMessage(msgspec.Struct):
     """The input of a policy at control level for an episode."""
 
     episode: int
-    """Number of the episode on this connection; the memory of it stays on the policy's
-    side."""
+    """Number of the episode on this connection. The server keeps the policy's memory
+    under this number."""
     step: int
     time_s: float
     instruction: str
     robots: list[str]
     arrays: dict[str, Array]
-    """The observation: ``agent_pos``, ``pixels/robot_0``."""
+    """The observation, with names such as ``agent_pos`` and ``pixels/robot_0``."""
     cameras: dict[str, Camera] = {}
 
     @classmethod
     def of(cls, control_input: ControlInput, episode: int) -> Self:
-        """Return an input as a message; its memory stays where the policy is.
+        """Return an input as a message, without the policy's memory.
 
         Args:
             control_input: The input.
@@ -149,7 +151,7 @@ def _flat(observation: Mapping[str, Any], prefix: str = "") -> dict[str, Array]:
 
 
 class _Tagged(msgspec.Struct, tag_field="type", kw_only=True):
-    """A message that says what it is."""
+    """Base of messages with a ``type``."""
 
 
 class Hello(_Tagged, tag="hello"):
@@ -159,38 +161,38 @@ class Hello(_Tagged, tag="hello"):
 
 
 class Act(_Tagged, tag="act"):
-    """Asks for decisions."""
+    """Request for decisions."""
 
     inputs: list[InputMessage]
     views: list[ViewMessage]
-    """The views that the last request on this connection did not refer to."""
+    """Views to which the last request on this connection did not refer."""
 
 
 class Plan(Act, tag="plan"):
-    """Asks for sub-tasks."""
+    """Request for sub-tasks."""
 
 
 class Together(_Tagged, tag="together"):
-    """Asks for orders to the free robots of teams."""
+    """Request for orders to the free robots of teams."""
 
     inputs: list[TeamMessage]
     views: list[ViewMessage]
 
 
 class Ground(Act, tag="ground"):
-    """Asks for poses of sub-tasks."""
+    """Request for poses of sub-tasks."""
 
     subtasks: list[SubTask]
 
 
 class Control(_Tagged, tag="control"):
-    """Asks for motor commands."""
+    """Request for motor commands."""
 
     inputs: list[ControlMessage]
 
 
 class Welcome(_Tagged, tag="hello"):
-    """Answers the first message."""
+    """Answer to ``hello``."""
 
     protocol: int
     methods: list[str] = []
@@ -199,37 +201,37 @@ class Welcome(_Tagged, tag="hello"):
 
 
 class Decisions(_Tagged, tag="decisions"):
-    """Answers ``act``."""
+    """Answer to ``act``."""
 
     decisions: list[Decision]
 
 
 class AllOrders(_Tagged, tag="orders"):
-    """Answers ``together``."""
+    """Answer to ``together``."""
 
     orders: list[Orders]
 
 
 class Commands(_Tagged, tag="commands"):
-    """Answers ``control``: an action or a chunk of actions for each input."""
+    """Answer to ``control``: an action or a chunk of actions for each input."""
 
     actions: list[Array]
 
 
 class SubTasks(_Tagged, tag="subtasks"):
-    """Answers ``plan``."""
+    """Answer to ``plan``."""
 
     subtasks: list[SubTask]
 
 
 class Poses(_Tagged, tag="poses"):
-    """Answers ``ground``."""
+    """Answer to ``ground``."""
 
     poses: list[GroundedSubTask | None]
 
 
 class Error(_Tagged, tag="error"):
-    """Answers a request that cannot be answered otherwise."""
+    """Answer to a request that failed."""
 
     kind: str
     message: str
@@ -242,10 +244,10 @@ M = TypeVar("M")
 
 
 def plain(value: object) -> object:
-    """Return a number of NumPy's as what msgpack has.
+    """Return a NumPy number as a Python number, which msgpack can encode.
 
     Raises:
-        TypeError: It is something else.
+        TypeError: The value is of another type.
     """
     if isinstance(value, np.generic):
         return value.item()
@@ -261,7 +263,7 @@ def encode(message: Request | Reply) -> bytes:
     """Return a message as bytes.
 
     Raises:
-        PolicyFailedError: A policy's answer holds something else than plain data.
+        PolicyFailedError: A policy's answer contains values other than plain data.
     """
     try:
         return _encoder.encode(message)
@@ -273,20 +275,20 @@ def decode_request(data: bytes | str) -> Request:
     """Return a request from bytes; arrays refer to the bytes.
 
     Raises:
-        ProtocolError: They are no request.
+        ProtocolError: They are not a valid request.
     """
     try:
         return decode(_requests, data)
     except msgspec.ValidationError as error:
-        raise ProtocolError(f"The request does not fit: {error}.") from error
+        raise ProtocolError(f"The request is not valid: {error}.") from error
 
 
 def decode_reply(data: bytes | str) -> Reply:
     """Return an answer from bytes.
 
     Raises:
-        PolicyFailedError: It has another form, or names a primitive that is not there.
-        ProtocolError: They are no message at all.
+        PolicyFailedError: The answer is malformed, or names an unknown primitive.
+        ProtocolError: The bytes are not a message.
     """
     try:
         return decode(_replies, data)
@@ -302,12 +304,12 @@ def decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
     """Return a message from bytes.
 
     Args:
-        decoder: Says of which type it is.
+        decoder: Decoder for the expected type.
         data: The message.
 
     Raises:
-        ValidationError: It is of another type.
-        ProtocolError: They are no message at all.
+        ValidationError: The message is of another type.
+        ProtocolError: The bytes are not a message.
     """
     if isinstance(data, str):
         raise ProtocolError("Messages are binary frames of msgpack, not text.")
@@ -316,7 +318,7 @@ def decode(decoder: msgspec.msgpack.Decoder[M], data: bytes | str) -> M:
     except msgspec.ValidationError:
         raise
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise ProtocolError(f"A message is no msgpack: {error}.") from error
+        raise ProtocolError(f"A message is not msgpack: {error}.") from error
 
 
 def malformed(what: str) -> PolicyFailedError:
@@ -327,10 +329,10 @@ def malformed(what: str) -> PolicyFailedError:
 
 
 def websockets(module: str) -> ModuleType:
-    """Import a module of the package websockets, an extra.
+    """Import a module of the optional package websockets.
 
     Args:
-        module: Such as ``"sync.client"``.
+        module: Name of the module, such as ``"sync.client"``.
 
     Raises:
         InvalidConfigError: The package is not installed.
@@ -339,6 +341,6 @@ def websockets(module: str) -> ModuleType:
         return import_module(f"websockets.{module}")
     except ImportError as error:
         raise InvalidConfigError(
-            "The package websockets is not installed, without which policies cannot be "
-            "reached over a socket. Install it with: pip install 'lemma-bench[serve]'"
+            "The package websockets is not installed; policies behind a socket need "
+            "it. Install it with: pip install 'lemma-bench[serve]'"
         ) from error

@@ -1,7 +1,7 @@
-"""A model server of vla-eval behind the interface of policies at control level.
+"""A client for model servers of vla-eval, with the interface of control policies.
 
-Its servers keep chunks of actions and histories. So each episode has a connection of
-its own, and no question can be asked twice.
+These servers keep chunks of actions and histories. Each episode therefore has its own
+connection, and no request can be repeated.
 """
 
 import sys
@@ -41,14 +41,14 @@ from lemma.serve.websocket import WebSocketChannel, check_no_secret, websocket_a
 _SHOWN = 500
 _BENCHMARK = "lemma_vla_eval:LemmaBenchmark"
 _TASK = {"name": "lemma", "suite": "lemma"}
-"""Task of every episode: policies do not get its name."""
+"""Task of every episode; policies do not get the real name."""
 
 
 def _address(url: str) -> str:
     """Return an address with the scheme of WebSockets.
 
     Raises:
-        InvalidConfigError: It is none of a model server.
+        InvalidConfigError: It is not the address of a model server.
     """
     check_no_secret(url)
     try:
@@ -56,32 +56,32 @@ def _address(url: str) -> str:
         return websocket_address(f"ws{plain}")
     except InvalidConfigError as error:
         raise InvalidConfigError(
-            f"{shown(url)} is no address of a model server. Write it as in "
+            f"{shown(url)} is not the address of a model server. Write it as in "
             f"{MODEL_SERVER}://127.0.0.1:8001."
         ) from error
 
 
 class ModelServer:
-    """Motor commands from a model server of vla-eval, and the connections to it."""
+    """A control policy on a model server of vla-eval, and the connections to it."""
 
     def __init__(self, url: str, mode: ProtocolMode) -> None:
         """Connect for the first time.
 
         Args:
-            url: Such as ``"vla-eval://127.0.0.1:8001"``.
-            mode: How patient to be.
+            url: Address such as ``"vla-eval://127.0.0.1:8001"``.
+            mode: Time limits and retries.
 
         Raises:
-            InvalidConfigError: The address is none, or the extra is not installed.
-            PolicyUnreachableError: Nobody answers there.
-            ProtocolError: The other side speaks another protocol.
+            InvalidConfigError: The address is not valid, or the extra is not installed.
+            PolicyUnreachableError: There was no connection in time.
+            ProtocolError: The other side uses another protocol.
         """
         self.url, self.mode = url, mode
         self._address = _address(url)
         first, self.welcome = self._open(mode.first_patience_s)
         self.idle = [first]
         """Connections without an episode."""
-        # Messages of all connections are numbered: an answer belongs to one question.
+        # Numbers are unique over all connections, so an answer fits one request only.
         self._numbers = count(1)
         self.control_options: dict[str, Any] = {}
 
@@ -95,15 +95,15 @@ class ModelServer:
 
         Args:
             options: Options of the environment.
-            columns: Meaning of each number of a robot's row.
-            state: Parts of the state that is sent, in order.
+            columns: Meaning of each number of one robot's action.
+            state: Parts of the sent state, in order.
 
         Raises:
             InvalidConfigError: The server declares other actions.
         """
         self.control_options = dict(options)
         self._columns, self._state = tuple(columns), tuple(state)
-        # Teams of the benchmark have two robots; of others the environment tells.
+        # Assume two robots here; the environment knows the size of other teams.
         names, control = self._names(2), options["control"]
         spec = self.welcome.get("action_spec")
         parts = spec.values() if isinstance(spec, dict) else ()
@@ -122,7 +122,7 @@ class ModelServer:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Description that the server gives of itself, and the chosen options."""
+        """The server's description of itself, and the chosen options."""
         said = ("model_server", "harness_version", "action_spec", "observation_spec")
         return {
             **{name: self.welcome[name] for name in said if name in self.welcome},
@@ -131,14 +131,14 @@ class ModelServer:
         }
 
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions | PolicyFailedError]:
-        """Return the next action of each episode, or why it has none.
+        """Return the next action of each episode, or its fault.
 
-        All are asked before the first answer is waited for: servers may answer them as
-        one batch. A fault costs its own episode.
+        All requests are sent before the first answer is read, so servers may answer
+        them as one batch. A fault fails only its own episode.
 
         Raises:
-            PolicyUnreachableError: Nobody answers any more.
-            ProtocolError: A message is larger than servers take.
+            PolicyUnreachableError: The connection is lost and cannot be opened again.
+            ProtocolError: A message is larger than servers accept.
         """
         allowed_s = self.mode.timeout_s * len(inputs)
         end = time.monotonic() + allowed_s
@@ -155,22 +155,22 @@ class ModelServer:
             for episode, failed in zip(episodes, asked, strict=True)
         ]
         if any(getattr(one, "kind", None) is FaultKind.DIED for one in found):
-            # A server that is gone for good ends the run and has not failed.
+            # If the server is gone, the run ends, and the episode has not failed.
             self.idle.append(self._open(self.mode.patience_s)[0])
         return found
 
     def close(self) -> None:
-        """Hang up."""
+        """Close all connections."""
         while self.idle:
             self.idle.pop().close()
 
     def message(self, kind: Kind, payload: Mapping[str, Any]) -> tuple[int, bytes]:
-        """Return a message, and its number among those of all connections."""
+        """Return the number and the bytes of a new message."""
         number = next(self._numbers)
         return number, vla_eval.pack(Message.of(kind, payload, number))
 
     def _names(self, robots: int) -> list[str]:
-        """Return the meaning of each number of an action."""
+        """Return the meaning of each number of a team's action."""
         names = robot_names(robots)
         return [f"{robot}.{column}" for robot in names for column in self._columns]
 
@@ -185,11 +185,11 @@ class ModelServer:
         )
 
     def _begin(self, robots: int) -> "ServedEpisode":
-        """Return a new episode, which begins there.
+        """Begin an episode on the server, and return it.
 
         Raises:
-            PolicyUnreachableError: Nobody answers any more.
-            ProtocolError: The other side speaks another protocol.
+            PolicyUnreachableError: There was no connection in time.
+            ProtocolError: The other side uses another protocol.
         """
         while True:
             idle = self.idle.pop() if self.idle else None
@@ -211,8 +211,8 @@ class ModelServer:
         except (OSError, ProtocolError) as error:
             channel.close()
             raise ProtocolError(
-                f"{self.url} does not answer 'hello' as a model server of vla-eval "
-                f"does: {error or 'it says nothing'} The address of a policy of "
+                f"{self.url} does not answer 'hello' like a model server of vla-eval: "
+                f"{error or 'there is no answer.'} The address of a policy of "
                 "'lemma serve' begins with http://."
             ) from error
 
@@ -228,22 +228,22 @@ class ModelServer:
         version = reply.payload.get("protocol_version")
         if version != vla_eval.VERSION:
             raise ProtocolError(
-                f"It speaks version {shown(version)} of vla-eval's protocol, and this "
-                f"is version {vla_eval.VERSION}. Install vla-eval 0.8 there."
+                f"It uses version {shown(version)} of vla-eval's protocol, this client "
+                f"version {vla_eval.VERSION}. Install vla-eval 0.8 there."
             )
         return dict(reply.payload)
 
 
 class ServedEpisode:
-    """One episode, and the connection on which the server knows it.
+    """One episode, and its connection to the server.
 
-    It ends there when it is no longer referred to.
+    The episode ends on the server when this object is deleted.
     """
 
     def __init__(
         self, server: ModelServer, channel: Channel, robots: int, names: Sequence[str]
     ) -> None:
-        """Keep the connection, on which the episode has begun."""
+        """Use a connection on which the episode has begun."""
         self._server, self._robots, self._names = server, robots, tuple(names)
         self._channel: Channel | None = channel
         self._seq = 0
@@ -266,12 +266,12 @@ class ServedEpisode:
         """Return the action for the last observation, and this episode as memory.
 
         Args:
-            end: Until when to wait, of the monotonic clock [s].
-            allowed_s: How long that is in all [s].
+            end: Time limit on the monotonic clock [s].
+            allowed_s: The whole time allowed, for error messages [s].
 
         Raises:
-            PolicyFailedError: There is none, or none that can be used.
-            PolicyUnreachableError: The server's machine is in trouble.
+            PolicyFailedError: There is no valid answer in time.
+            PolicyUnreachableError: The server's machine lacks memory, disk or files.
         """
         try:
             reply = self._next(end)
@@ -293,7 +293,7 @@ class ServedEpisode:
     def _next(self, end: float) -> Message:
         """Return the answer to the last message, or the error of an earlier one.
 
-        Late answers to earlier messages are passed over.
+        Late answers to earlier messages are skipped.
         """
         assert self._channel is not None
         while True:
@@ -301,7 +301,7 @@ class ServedEpisode:
             reply = vla_eval.unpack(self._channel.receive(left_s))
             if reply.kind is Kind.ERROR:
                 if reply.seq != self._seq:
-                    # The answer to the observation would be taken for the next one's.
+                    # Otherwise a late answer would be read as that of the next message.
                     self._hang_up()
                 return reply
             if reply.kind is Kind.ACTION and reply.seq == self._seq:
@@ -310,7 +310,7 @@ class ServedEpisode:
     def _failed(
         self, error: Exception, kind: FaultKind = FaultKind.DIED, why: str = ""
     ) -> PolicyFailedError:
-        """Hang up, and return the fault; by default, that the server did."""
+        """Close the connection, and return the fault; by default, a lost connection."""
         self._hang_up()
         return PolicyFailedError(
             kind, why or f"{self._server.url} hung up in this episode: {error}."
@@ -322,7 +322,7 @@ class ServedEpisode:
         self._channel = None
 
     def __del__(self) -> None:
-        """Say that the episode has ended, and keep the connection for another one."""
+        """End the episode on the server, and reuse the connection for another one."""
         if self._channel is None or sys.is_finalizing():
             return
         try:
@@ -334,7 +334,7 @@ class ServedEpisode:
 
 
 def _attempt(call: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what a call returns, or the fault that it raises."""
+    """Return the result of a call, or the fault that it raises."""
     try:
         return call(*arguments)
     except PolicyFailedError as error:

@@ -1,4 +1,4 @@
-"""A policy behind a socket, on the side of the policy."""
+"""The server of a policy behind a socket."""
 
 import logging
 import socket
@@ -17,21 +17,21 @@ from lemma.serve.session import ModelSession, Session
 
 DEFAULT_PORT = 8000
 PROTOCOLS = ("lemma", "vla-eval")
-"""Protocols of a server: ours, and that of vla-eval's model servers."""
+"""Protocols of a server: that of this package, and that of vla-eval's servers."""
 _LOOK_S = 0.1
 _HERE = "This is a LEMMA policy server. Speak WebSocket; see docs/serving.md.\n"
 _OPEN_S = 10.0
 _HEAD_BYTES = 65_536
 _log = logging.getLogger("lemma.serve")
-# Connections that end before the handshake are probes of load balancers.
+# Do not log connections that end before the handshake, such as load balancers' probes.
 _log.addFilter(lambda record: "handshake failed" not in str(record.msg))
 
 
 class RequestDispatcher:
-    """The one thread that asks the policy, for all clients, one after another.
+    """Runs the requests of all clients in one thread, one after another.
 
-    If a client leaves while the policy works on its question, the thread may hang. It
-    is abandoned then, and another one takes its place.
+    If a client disconnects while the policy computes its answer, the thread may hang.
+    It is then abandoned and replaced by a new one.
     """
 
     def __init__(self) -> None:
@@ -40,14 +40,14 @@ class RequestDispatcher:
         self._begin([])
 
     def call(self, work: Callable[[], Any], left: Callable[[], bool]) -> Any:
-        """Return what the work returns; raise what it raises.
+        """Run a function in the thread; return its result or raise its exception.
 
         Args:
-            work: Asks the policy.
-            left: Whether the client has left.
+            work: Function that calls the policy.
+            left: Function that returns whether the client has disconnected.
 
         Raises:
-            CancelledError: The client has left.
+            CancelledError: The client has disconnected.
         """
         future: Future[Any] = Future()
         with self._lock:
@@ -77,7 +77,7 @@ class RequestDispatcher:
         threading.Thread(target=_work, args=(self._queue,), daemon=True).start()
 
     def close(self) -> None:
-        """Let the thread end after the present question."""
+        """Let the thread end after the present request."""
         with self._lock:
             self._queue.put(None)
 
@@ -90,7 +90,7 @@ def _work(queue: "SimpleQueue[Any]") -> None:
         try:
             result = work()
         except BaseException as error:
-            # Also SystemExit: a policy that calls it must not leave clients waiting.
+            # This includes SystemExit, so that clients of such a policy do not wait.
             if not isinstance(error, Exception):
                 error = RuntimeError(f"{type(error).__name__}: {error}")
             future.set_exception(error)
@@ -99,9 +99,9 @@ def _work(queue: "SimpleQueue[Any]") -> None:
 
 
 class PolicyServer:
-    """Listens, and answers for a policy, as long as the context lasts.
+    """A server for a policy, which serves while its context is active.
 
-    Many clients may ask at a time; the policy is asked one question after another.
+    Many clients may send requests at a time; the policy gets one after another.
     """
 
     def __init__(
@@ -116,19 +116,17 @@ class PolicyServer:
         """Begin to listen.
 
         Args:
-            policy: Anything that can act, plan or ground; see
-                :mod:`lemma.policies.interfaces`.
-            host: Address to listen at. There is no password: leave it at this machine,
-                or at a network that you trust.
-            port: Port to listen at; 0 for any that is free.
-            about: Description of the policy, ready for JSON; it is written into
-                results.
+            policy: A policy; see :mod:`lemma.policies.interfaces`.
+            host: Address to listen on. There is no password, so use only addresses of
+                this machine or of a trusted network.
+            port: Port to listen on; 0 for any free one.
+            about: Description of the policy, ready for JSON; results contain it.
             protocol: One of :data:`PROTOCOLS`.
 
         Raises:
-            ProtocolError: The policy has no method to ask.
+            ProtocolError: The policy has none of the protocol's methods.
             InvalidConfigError: The port is taken, or the extra is not installed; or the
-                protocol does not hold all that the policy needs.
+                protocol cannot carry all inputs of the policy.
         """
         known("protocol", protocol, PROTOCOLS)
         self._session = Session if protocol == PROTOCOLS[0] else ModelSession
@@ -152,40 +150,40 @@ class PolicyServer:
             )
         except (OSError, OverflowError) as error:
             raise InvalidConfigError(
-                f"Nothing can listen at {host}:{port}: {str(error).rstrip('.')}. "
+                f"Cannot listen on {host}:{port}: {str(error).rstrip('.')}. "
                 "Choose another port or address."
             ) from error
         self.host, self.port = host, int(self._server.socket.getsockname()[1])
 
     @property
     def url(self) -> str:
-        """Where it can be asked."""
+        """Address for clients."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.port}"
 
     def run(self) -> None:
-        """Answer until :meth:`close` is called, or Ctrl-C."""
+        """Serve until :meth:`close` is called, or until Ctrl-C."""
         self._server.serve_forever()
 
     def close(self) -> None:
         """Close all connections."""
         self._server.shutdown()
-        # Some versions of websockets stop listening and keep open connections.
+        # Some versions of websockets do not close open connections.
         for connection in tuple(self._connections):
             connection.close_socket()
         self._desk.close()
 
     def __enter__(self) -> Self:
-        """Answer in a thread."""
+        """Serve in a thread."""
         threading.Thread(target=self.run, daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Hang up."""
+        """Close all connections."""
         self.close()
 
     def _talk(self, connection: Any) -> None:
-        """Answer one client until it leaves."""
+        """Serve one client until it disconnects."""
 
         def left() -> bool:
             return connection.close_code is not None or not _is_open(connection)
@@ -213,20 +211,20 @@ def serve(
     protocol: str = PROTOCOLS[0],
     on_ready: Callable[[str], object] = lambda url: None,
 ) -> None:
-    """Answer for a policy until Ctrl-C.
+    """Serve a policy until Ctrl-C.
 
     Args:
-        policy: Anything that can act, plan or ground; see
-            :mod:`lemma.policies.interfaces`.
-        host: Address to listen at; there is no password.
-        port: Port to listen at; 0 for any that is free.
+        policy: A policy; see :mod:`lemma.policies.interfaces`.
+        host: Address to listen on; there is no password.
+        port: Port to listen on; 0 for any free one.
         about: Description of the policy, ready for JSON.
         protocol: One of :data:`PROTOCOLS`.
         on_ready: Called with the address once the server answers.
 
     Raises:
-        ProtocolError: The policy has no method to ask.
-        InvalidConfigError: The port is taken, or the extra is not installed.
+        ProtocolError: The policy has none of the protocol's methods.
+        InvalidConfigError: The port is taken, the extra is not installed, or the
+            protocol cannot carry all inputs of the policy.
     """
     server = PolicyServer(policy, host=host, port=port, about=about, protocol=protocol)
     with server:
@@ -240,10 +238,10 @@ def _is_open(connection: Any) -> bool:
 
 
 def _connection(sock: socket.socket, *args: Any, **options: Any) -> Any:
-    """Return a connection, unless the request is none that websockets reads.
+    """Return a connection; answer requests that websockets cannot read.
 
     Raises:
-        ConnectionError: It is answered already.
+        ConnectionError: The request was answered here.
     """
     sock.settimeout(_OPEN_S)
     end = time.monotonic() + _OPEN_S
@@ -262,7 +260,7 @@ def _connection(sock: socket.socket, *args: Any, **options: Any) -> Any:
     fields += ["Content-Type: text/plain", f"Content-Length: {len(_HERE)}", "", ""]
     body = "" if line[0] == b"HEAD" else _HERE
     if line[0]:
-        # Unread bytes would break the connection before the answer is read.
+        # With unread bytes the system resets the connection before the answer arrives.
         sock.recv(_HEAD_BYTES)
         sock.sendall(("\r\n".join(fields) + body).encode())
         sock.shutdown(socket.SHUT_WR)
@@ -270,7 +268,7 @@ def _connection(sock: socket.socket, *args: Any, **options: Any) -> Any:
 
 
 def _say_what_this_is(connection: Any, request: Any) -> Any:
-    """Answer browsers and health checks, which do not speak WebSocket."""
+    """Answer requests of browsers and health checks, which do not use WebSocket."""
     if request.headers.get("Upgrade", "").lower() == "websocket":
         return None
     return connection.respond(200, _HERE)

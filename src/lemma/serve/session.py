@@ -1,4 +1,4 @@
-"""The side of a conversation that answers for a policy, in either protocol."""
+"""The server side of a connection, in either protocol."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -27,9 +27,9 @@ from lemma.serve.faults import (
 from lemma.serve.vla_eval import Kind, Message
 
 Call = Callable[[Callable[[], Any]], Any]
-"""Calls a function that asks the policy in the right thread; returns its result."""
+"""Runs a function in the policy's thread, and returns its result."""
 _MEMORIES = 1024
-"""Episodes whose memory a session keeps: more than are played at a time."""
+"""Number of episodes whose memory a session keeps; fewer are played at a time."""
 _STATE = ("agent_pos", "agent_vel", "tcp_pose")
 _PER_ROBOT = 7
 _SEES = ("rgb", "state")
@@ -46,30 +46,30 @@ class Session:
         about: Mapping[str, Any] | None = None,
         call: Call = lambda work: work(),
     ) -> None:
-        """Begin.
+        """Begin a session.
 
         Args:
-            policy: Anything that can act, plan or ground; see
-                :mod:`lemma.policies.interfaces`.
+            policy: A policy; see :mod:`lemma.policies.interfaces`.
             about: Description of the policy, ready for JSON.
-            call: Asks the policy, in the right thread.
+            call: Runs a function in the policy's thread.
 
         Raises:
-            ProtocolError: It has none of these methods, or is an oracle.
+            ProtocolError: The policy has none of the protocol's methods, or is an
+                oracle.
         """
         if hasattr(policy, "act_alone") and not hasattr(policy, "act_together"):
             policy = EachAsked(policy)
         self.methods = [name for name in messages.METHODS if hasattr(policy, name)]
         if not self.methods:
             raise ProtocolError(
-                f"A {type(policy).__name__} is no policy: it has no act(), plan(), "
+                f"A {type(policy).__name__} is not a policy: it has no act(), plan(), "
                 "ground(), act_together() or act_alone()."
             )
         if is_oracle(policy):
             raise ProtocolError(
-                f"A {type(policy).__name__} needs the simulation's state, which is "
-                "sent to no other process. Evaluate it where it lives: lemma "
-                "evaluate --timeout 0."
+                f"A {type(policy).__name__} needs the simulation's state, which no "
+                "other process gets. Evaluate it in the process of the simulation: "
+                "lemma evaluate --timeout 0."
             )
         self._policy: Any = policy
         self._about = {"name": type(policy).__name__, **(about or {})}
@@ -84,7 +84,7 @@ class Session:
         self._memories: dict[int, Any] = {}
 
     def answer(self, data: bytes | str) -> bytes:
-        """Return the answer to a message; errors are answers as well."""
+        """Return the answer to a message; an error is answered with ``Error``."""
         try:
             return messages.encode(self._answer(messages.decode_request(data)))
         except Exception as error:
@@ -107,10 +107,10 @@ class Session:
         return messages.Decisions(decisions=self._ask("act", inputs))
 
     def _ask(self, name: str, *arguments: Any) -> Any:
-        """Return the answer of a method of the policy, asked in the right thread."""
+        """Call a method of the policy in its thread, and return the result."""
         if name not in self.methods:
             raise ProtocolError(
-                f"The policy has no {name}(), but {', '.join(self.methods)}."
+                f"The policy has no {name}(), only {', '.join(self.methods)}."
             )
         return self._call(lambda: getattr(self._policy, name)(*arguments))
 
@@ -133,7 +133,7 @@ class Session:
         own = messages.PROTOCOL
         if version != own:
             raise ProtocolError(
-                f"This is version {own} of the protocol, and the client speaks version "
+                f"This server uses version {own} of the protocol, the client version "
                 f"{version}. Install the same version of lemma-bench on both sides."
             )
         return messages.Welcome(
@@ -152,7 +152,7 @@ class Session:
         used |= {view for one in teams for view in one.own_views.values()}
         unknown = sorted(used - known.keys())
         if unknown:
-            raise ProtocolError(f"The views {unknown} were not sent, or are forgotten.")
+            raise ProtocolError(f"The views {unknown} were not sent, or not kept.")
         self._views = {number: known[number] for number in used}
         return [self._input(one) for one in asked.inputs]
 
@@ -164,7 +164,11 @@ class Session:
             for step in asked.past
         )
         found = PolicyInput(
-            asked.instruction, tuple(asked.robots), self._views[asked.view], past
+            asked.instruction,
+            tuple(asked.robots),
+            self._views[asked.view],
+            past,
+            tuple(asked.hands),
         )
         if isinstance(asked, messages.TeamMessage):
             return asked.read(found, self._views)
@@ -180,15 +184,15 @@ def _error_fields(error: Exception) -> tuple[str, str]:
     trouble = trouble_of(error)
     if trouble is not None:
         return UNAVAILABLE, str(trouble)
-    # The policy is anybody's code, and the client finds out which episode.
+    # An error of the policy's own code; the client finds out for which episode.
     return FaultKind.RAISED, f"{type(error).__name__}: {error}"
 
 
 def _rows(answer: object) -> tuple[NDArray[Any], Any]:
-    """Return an answer's actions, and what the policy wants to remember.
+    """Return an answer's actions and the policy's new memory.
 
     Raises:
-        PolicyFailedError: They are no array of numbers.
+        PolicyFailedError: The actions are not an array of numbers.
     """
     rows = answer.rows if isinstance(answer, Actions) else answer
     try:
@@ -202,8 +206,8 @@ def _rows(answer: object) -> tuple[NDArray[Any], Any]:
 class ModelSession(Session):
     """Answers the messages of one connection of vla-eval, one episode at a time.
 
-    It answers the actions of a chunk one by one. Messages of vla-eval hold no depths,
-    no maps and no calibration of cameras.
+    It sends the actions of a chunk one by one. Messages of vla-eval have no depth, no
+    maps and no camera calibration.
     """
 
     def __init__(
@@ -212,30 +216,30 @@ class ModelSession(Session):
         about: Mapping[str, Any] | None = None,
         call: Call = lambda work: work(),
     ) -> None:
-        """Begin.
+        """Begin a session.
 
         Args:
-            policy: See :class:`lemma.policies.control.interfaces.ControlPolicy`.
+            policy: A :class:`lemma.policies.control.interfaces.ControlPolicy`.
             about: Description of the policy: its ``name``.
-            call: Asks the policy, in the right thread.
+            call: Runs a function in the policy's thread.
 
         Raises:
-            ProtocolError: It has no ``act``, or is an oracle.
-            InvalidConfigError: Messages of vla-eval do not hold all that it needs.
+            ProtocolError: The policy has no ``act``, or is an oracle.
+            InvalidConfigError: Messages of vla-eval cannot carry all of its inputs.
         """
         super().__init__(policy, about, call)
         self._options = {**_DEFAULTS, **getattr(policy, "control_options", {})}
         sees = self._options["observation"]
         if sees not in _SEES:
             raise InvalidConfigError(
-                f"The policy observes {shown(sees)}, and messages of vla-eval hold "
+                f"The policy observes {shown(sees)}; messages of vla-eval have only "
                 f"images and joints. Valid: {', '.join(_SEES)}; or serve it without "
                 "--protocol vla-eval."
             )
         self._begin()
 
     def answer(self, data: bytes | str) -> bytes:
-        """Return the answer to a message, empty if it has none."""
+        """Return the answer to a message; empty bytes if there is none."""
         seq = 0
         try:
             asked = vla_eval.unpack(data)
@@ -262,7 +266,7 @@ class ModelSession(Session):
     def _hello(self) -> dict[str, Any]:
         own = vla_eval.format_of(self._options["control"])
         wanted = {**_SIZE, **self._options, "state": list(_STATE), "send_state": True}
-        # Pictures are what vla-eval observes anyhow.
+        # vla-eval observes images by default.
         unspoken = {"clip_actions"}
         if wanted["observation"] == _SEES[0]:
             unspoken.add("observation")
@@ -297,9 +301,10 @@ class ModelSession(Session):
         robots = state.size // (len(_STATE) * _PER_ROBOT)
         if not robots or state.size % (len(_STATE) * _PER_ROBOT):
             raise ProtocolError(
-                f"The observation has a state of {state.size} numbers. This policy is "
-                f"given {', '.join(_STATE)}, {_PER_ROBOT} numbers for each robot: in "
-                "the benchmark's parameters, state: [agent_pos, agent_vel, tcp_pose]."
+                f"The observation has a state of {state.size} numbers. This policy "
+                f"needs {', '.join(_STATE)}, {_PER_ROBOT} numbers each for each robot: "
+                "set state: [agent_pos, agent_vel, tcp_pose] in the benchmark's "
+                "parameters."
             )
         parts = dict(zip(_STATE, np.split(state, len(_STATE)), strict=True))
         images = dict(seen.get("images") or {})

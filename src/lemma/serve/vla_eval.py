@@ -1,8 +1,8 @@
 """The messages of vla-eval, version 1 of its protocol: motor commands over a WebSocket.
 
-Harness and model servers of the package ``vla-eval`` talk so. Each message is a msgpack
-map of ``type``, ``payload``, ``seq`` and ``timestamp``; an answer has the ``seq`` of
-its question. Nothing of that package is needed here.
+The harness and the model servers of the package ``vla-eval`` use this protocol. Each
+message is a msgpack map of ``type``, ``payload``, ``seq`` and ``timestamp``; an answer
+has the ``seq`` of its request. This module does not need that package.
 """
 
 import io
@@ -22,7 +22,7 @@ from lemma.serve.faults import FaultKind, PolicyFailedError, ProtocolError
 from lemma.serve.messages import decode, plain
 
 VERSION = 1
-"""Version of the protocol: both sides say it, and ours compare it."""
+"""Version of the protocol; both sides send it, and this package compares it."""
 _ARRAY, _IMAGE = "__ndarray__", "__image__"
 _NUMBERS = "biuf"
 _FORMATS = ("png", "jpeg", "raw")
@@ -36,7 +36,7 @@ class Kind(StrEnum):
     HELLO = "hello"
     """The first message of a connection; the answer describes the server."""
     EPISODE_START = "episode_start"
-    """An episode begins; there is no answer but an error."""
+    """An episode begins; there is no answer except after an error."""
     OBSERVATION = "observation"
     """An observation; the answer is an action."""
     ACTION = "action"
@@ -55,7 +55,7 @@ class Message(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, kind: Kind, payload: Mapping[str, Any], seq: int = 0) -> Self:
-        """Return a message of this moment."""
+        """Return a message with the present time."""
         return cls(kind, dict(payload), seq, time.time())
 
 
@@ -63,10 +63,10 @@ _decoder = msgspec.msgpack.Decoder(Message)
 
 
 def pack(message: Message) -> bytes:
-    """Return a message as bytes; arrays travel as they are, images uncompressed.
+    """Return a message as bytes; arrays and images are not compressed.
 
     Raises:
-        ProtocolError: It holds what cannot be sent.
+        ProtocolError: The payload contains a value that cannot be encoded.
     """
     try:
         return msgspec.msgpack.encode(message, enc_hook=_plain)
@@ -78,7 +78,7 @@ def unpack(data: bytes | str) -> Message:
     """Return a message from bytes, with arrays and images as arrays.
 
     Raises:
-        ProtocolError: They are no message.
+        ProtocolError: The bytes are not a valid message.
     """
     try:
         found = decode(_decoder, data)
@@ -105,12 +105,12 @@ def observation(
     state: NDArray[Any] | None,
     robots: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return an observation as vla-eval's model servers take it.
+    """Return an observation in the format of vla-eval's model servers.
 
     Args:
-        images: By name of the camera, (height, width, 3).
+        images: RGB images by name of the camera, (H, W, 3).
         sentence: The instruction.
-        state: Joints and other numbers of the robots, (n,); None to leave it out.
+        state: Joints and other numbers of the robots, (n,); None to leave them out.
         robots: Phrases for the robots, in the order of state and action.
     """
     found: dict[str, Any] = {"images": dict(images), "task_description": sentence}
@@ -129,7 +129,7 @@ def read_action(payload: Mapping[str, Any], names: tuple[str, ...]) -> NDArray[A
         names: Meaning of each number: ``"robot_0.shoulder_pan"``.
 
     Raises:
-        PolicyFailedError: There is none, it has another shape, or it is not finite.
+        PolicyFailedError: The action is missing, has a wrong shape, or is not finite.
     """
     key = next((key for key in ("actions", "action") if key in payload), None)
     if key is None:
@@ -173,7 +173,7 @@ def _malformed(what: str, names: tuple[str, ...], hint: str = "") -> PolicyFaile
 
 
 def _plain(value: object) -> object:
-    """Return an array, or a number of NumPy's, as what msgpack has."""
+    """Return a NumPy array or number as data that msgpack can encode."""
     if isinstance(value, np.ndarray) and value.dtype.kind in _NUMBERS:
         whole = np.ascontiguousarray(value)
         return {
@@ -186,7 +186,7 @@ def _plain(value: object) -> object:
 
 
 def _read(value: Any, depth: int = 0) -> Any:
-    """Return plain data with arrays where they were before they were sent."""
+    """Return decoded data with its encoded arrays and images as arrays."""
     if depth > _DEEPEST:
         raise ProtocolError(f"A message is more than {_DEEPEST} levels deep.")
     if isinstance(value, dict):
@@ -225,15 +225,15 @@ def _read_image(sent: dict[Any, Any]) -> NDArray[Any]:
         pillow = import_module("PIL.Image")
     except ImportError as error:
         raise InvalidConfigError(
-            "The package pillow is not installed, without which compressed images "
-            "cannot be read. Install it with: pip install pillow"
+            "The package pillow is not installed; compressed images need it. Install "
+            "it with: pip install pillow"
         ) from error
     try:
         image = pillow.open(io.BytesIO(sent["data"]), formats=("PNG", "JPEG"))
-        # A small file may hold an image that no memory does.
+        # A small file may contain an image that exceeds all memory.
         if math.prod(image.size) > _LARGEST_IMAGE:
             raise ValueError(f"{image.width} x {image.height} pixels are too many")
         return np.array(image)
     except Exception as error:
-        # Damaged files raise whatever they do, of many kinds.
+        # Damaged files raise many kinds of exceptions.
         raise ProtocolError(f"An image cannot be read: {error}.") from error

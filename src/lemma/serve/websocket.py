@@ -1,4 +1,4 @@
-"""Messages over a WebSocket, on the side that asks."""
+"""Messages over a WebSocket, on the client side."""
 
 import socket
 import struct
@@ -12,10 +12,10 @@ from lemma.serve.faults import ProtocolError
 from lemma.serve.messages import LARGEST_BYTES, websockets
 
 SCHEMES = {"http": "ws", "https": "wss", "ws": "ws", "wss": "wss"}
-"""Valid schemes of an address, and the WebSocket schemes that they mean."""
+"""Valid schemes of an address, and their WebSocket schemes."""
 AUTHORIZATION = "LEMMA_SERVER_AUTHORIZATION"
-"""Environment variable with the header ``Authorization`` for a server behind a proxy:
-``"Bearer ..."`` or ``"Basic ..."``."""
+"""Environment variable with the value of the header ``Authorization``, for a server
+behind a proxy: ``"Bearer ..."`` or ``"Basic ..."``."""
 _CONNECT_S = 10.0
 _SEND_S = 10
 _CLOSE_S = 0.5
@@ -31,13 +31,13 @@ def connect(url: str, mode: ProtocolMode) -> Remote:
     """Return the policy behind a socket.
 
     Args:
-        url: Such as ``"http://127.0.0.1:8000"``.
-        mode: How patient to be.
+        url: Address such as ``"http://127.0.0.1:8000"``.
+        mode: Time limits and retries.
 
     Raises:
-        InvalidConfigError: The address is none, or the extra is not installed.
-        PolicyUnreachableError: Nobody answers there.
-        ProtocolError: Somebody answers who speaks something else.
+        InvalidConfigError: The address is not valid, or the extra is not installed.
+        PolicyUnreachableError: There was no connection in time.
+        ProtocolError: The other side uses another protocol.
     """
     address = websocket_address(url)
     return remote(Conversation(url, lambda: WebSocketChannel(address), mode))
@@ -47,7 +47,7 @@ def websocket_address(url: str) -> str:
     """Return an address with the scheme of WebSockets.
 
     Raises:
-        InvalidConfigError: It is no address.
+        InvalidConfigError: It is not an address of a policy.
     """
     check_no_secret(url)
     try:
@@ -57,32 +57,33 @@ def websocket_address(url: str) -> str:
         port_is_right = False
     if not port_is_right or parts.scheme not in SCHEMES or not parts.hostname:
         raise InvalidConfigError(
-            f"{url!r} is no address of a policy. Write it as in http://127.0.0.1:8000."
+            f"{url!r} is not the address of a policy. Write it as in "
+            "http://127.0.0.1:8000."
         )
     return parts._replace(scheme=SCHEMES[parts.scheme]).geturl()
 
 
 def check_no_secret(url: str) -> None:
-    """Check that an address holds no password.
+    """Check that an address contains no password.
 
     Raises:
-        InvalidConfigError: It does.
+        InvalidConfigError: It contains one.
     """
     advice = f"Put the value of an Authorization header into {AUTHORIZATION}."
     check_address_has_no_secret(url, "a policy", advice)
 
 
 class WebSocketChannel:
-    """One connection."""
+    """A channel over one WebSocket connection."""
 
     def __init__(self, address: str) -> None:
         """Connect.
 
         Args:
-            address: With the scheme ``ws`` or ``wss``.
+            address: Address with the scheme ``ws`` or ``wss``.
 
         Raises:
-            OSError: Nobody answers there, or not as a WebSocket.
+            OSError: There is no answer, or no WebSocket.
             InvalidConfigError: The extra is not installed.
         """
         client = websockets("sync.client")
@@ -90,7 +91,7 @@ class WebSocketChannel:
         self._exceptions = websockets("exceptions")
         self._stack = ExitStack()
         try:
-            # No pings: a policy that thinks long is not dead, and has its own deadline.
+            # No pings: a slow policy is not dead, and decisions have their own limit.
             self._socket = self._stack.enter_context(
                 client.connect(
                     address,
@@ -105,7 +106,7 @@ class WebSocketChannel:
             )
         except self._exceptions.WebSocketException as error:
             raise ConnectionError(str(error)) from error
-        # Nothing else ends the wait for a server that does not read what it is sent.
+        # Limit the wait for a server that does not read its messages.
         self._socket.socket.setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", _SEND_S, 0)
         )
@@ -115,12 +116,12 @@ class WebSocketChannel:
 
         Raises:
             OSError: The other side is gone.
-            ProtocolError: It is larger than the other side takes.
+            ProtocolError: The message is larger than the other side accepts.
         """
         if len(message) > LARGEST_BYTES:
             raise ProtocolError(
                 f"A message of {len(message) >> 20} MiB is larger than the "
-                f"{LARGEST_BYTES >> 20} MiB that policies take. Use smaller images."
+                f"{LARGEST_BYTES >> 20} MiB that policies accept. Use smaller images."
             )
         try:
             self._socket.send(message)
@@ -131,7 +132,7 @@ class WebSocketChannel:
         """Return the next message.
 
         Raises:
-            TimeoutError: There is none in time.
+            TimeoutError: No message came in time.
             OSError: The other side is gone.
         """
         try:
@@ -141,6 +142,6 @@ class WebSocketChannel:
             raise ConnectionError(str(error)) from error
 
     def close(self) -> None:
-        """Hang up; never raises."""
+        """Close the connection; never raises."""
         with suppress(Exception):
             self._stack.close()

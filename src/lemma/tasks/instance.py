@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, NotRequired, TypedDict
@@ -11,6 +12,7 @@ import msgspec
 from lemma.core.arguments import whole
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.poses import Pose2
+from lemma.robots.hand import STANDARD
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.names import FAMILIES
@@ -56,6 +58,8 @@ class _Data(TypedDict):
     instructions: dict[str, str]
     distractors: list[str]
     rule: NotRequired[Annotated[list[str], msgspec.Meta(min_length=1)]]
+    hands: NotRequired[list[str]]
+    masses_kg: NotRequired[dict[str, int | float]]
 
 
 def splits_of(task: str) -> dict[str, int]:
@@ -123,8 +127,14 @@ class Instance:
         return "+".join(sorted(arms, key=_arm_order))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; ``rule`` is present only if the goal has one."""
-        rule = self.goal.rule
+        """Return plain data for JSON.
+
+        ``rule`` is present only if the goal has one, ``hands`` only if a robot has
+        another hand than the standard one, and ``masses_kg`` has the objects whose mass
+        is not that of their kind.
+        """
+        rule, hands = self.goal.rule, list(self.scene.other_hands)
+        masses = {o.name: o.mass_kg for o in self.scene.objects if o.mass_kg}
         return {
             "version": BENCHMARK_VERSION,
             "task": self.task,
@@ -143,6 +153,8 @@ class Instance:
             "instructions": dict(self.instructions),
             "distractors": list(self.distractors),
             **({} if rule is None else {"rule": [rule.kind, *rule.names]}),
+            **({"hands": hands} if hands else {}),
+            **({"masses_kg": masses} if masses else {}),
         }
 
     @classmethod
@@ -161,13 +173,21 @@ class Instance:
                 f"{shown(data)} describes no instance: {error}. Valid: what "
                 "Instance.to_dict() returned."
             ) from None
+        hands = data.get("hands", [STANDARD] * len(data["robots"]))
+        if len(hands) != len(data["robots"]):
+            raise InvalidConfigError(
+                f"There are {len(hands)} hands for {len(data['robots'])} robots."
+            )
         robots = tuple(
-            RobotPlacement(arm, color, Pose2(x, y, yaw))
-            for arm, color, x, y, yaw in data["robots"]
+            RobotPlacement(arm, color, Pose2(x, y, yaw), hand)
+            for (arm, color, x, y, yaw), hand in zip(data["robots"], hands, strict=True)
         )
-        objects = tuple(
-            ObjectPlacement(kind, color, Pose2(x, y, yaw))
-            for kind, color, x, y, yaw in data["objects"]
+        objects = _with_masses(
+            data.get("masses_kg", {}),
+            (
+                ObjectPlacement(kind, color, Pose2(x, y, yaw))
+                for kind, color, x, y, yaw in data["objects"]
+            ),
         )
         gap, goal = data["gap_m"], tuple((top, on) for top, on in data["goal"])
         rule = rule_from(data["rule"]) if "rule" in data else None
@@ -242,6 +262,23 @@ class Instance:
         """Return the SHA-256 of the instance's canonical JSON."""
         text = json.dumps(self.to_dict(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _with_masses(
+    masses_kg: Mapping[str, float], objects: Iterable[ObjectPlacement]
+) -> tuple[ObjectPlacement, ...]:
+    """Return objects with the masses that some of them have.
+
+    Raises:
+        InvalidConfigError: One that is named is not there, or cannot have such a mass.
+    """
+    found = tuple(replace(o, mass_kg=masses_kg.get(o.name)) for o in objects)
+    unknown = set(masses_kg) - {placed.name for placed in found}
+    if unknown:
+        raise InvalidConfigError(
+            f"masses_kg names {shown(min(unknown))}, which is not on the table."
+        )
+    return found
 
 
 def _arm_order(arm: str) -> tuple[int, str]:

@@ -49,8 +49,7 @@ _STICK_EDGE_M = 0.05
 BESIDE_BASE_M = 0.06
 """Smallest gap between an object and the circle that an arm's shoulder sweeps."""
 
-_KINDS = ("cube", "pad")
-"""Kinds whose colors are shuffled first, in this order."""
+_KINDS = ("cube", "pad")  # Their colors are shuffled first, in this order.
 
 _OUTLINE = (
     *((HANDLE_LENGTH_M * i / 5, 0.0) for i in range(6)),
@@ -98,6 +97,10 @@ class ObjectPlacer:
         self.order: tuple[int, ...] = tuple(int(i) for i in drawn)
         """Indices of the robots by role, in random order."""
 
+    def choose(self, count: int) -> int:
+        """Draw a number from 0 to below ``count``: a variant of the table."""
+        return int(self.rng.integers(count))
+
     def cube(self, zone: ZoneLike, color: str | None = None) -> str:
         """Place a cube in a zone; see :meth:`put`."""
         return self.put("cube", zone, color)
@@ -106,7 +109,13 @@ class ObjectPlacer:
         """Place a pad in a zone; see :meth:`put`."""
         return self.put("pad", zone, color)
 
-    def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
+    def put(
+        self,
+        kind: str,
+        zone: ZoneLike,
+        color: str | None = None,
+        mass_kg: float | None = None,
+    ) -> str:
         """Place an object in a zone.
 
         Args:
@@ -114,6 +123,7 @@ class ObjectPlacer:
             zone: The zone.
             color: Its color. If None, one of the benchmark's colors that no object of
                 the kind has; colors of users must be named.
+            mass_kg: Its mass [kg]; that of the kind if None.
 
         Returns:
             The entity's name.
@@ -138,11 +148,9 @@ class ObjectPlacer:
         if any((o.kind, o.color) == (kind, color) for o in self.objects):
             raise SamplingError(f"A task asks for a second {color} {kind}.")
         wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
-        pose = self._find(record, wanted)
-        chosen = color or free[0]
-        if chosen in free:
-            free.remove(chosen)
-        placed = ObjectPlacement(kind, chosen, pose)
+        pose, chosen = self._find(record, wanted), color or free[0]
+        free[:] = [left for left in free if left != chosen]
+        placed = ObjectPlacement(kind, chosen, pose, mass_kg)
         self.objects.append(placed)
         self._zones[placed.name] = wanted
         return placed.name
@@ -162,9 +170,8 @@ class ObjectPlacer:
             lambda x, y, yaw: self.suits_stick(robot, x, y, yaw),
             lambda pose: heading_from(base, pose) <= LARGEST_HEADING_RAD,
         )
-        placed = ObjectPlacement("stick", "yellow", pose)
-        self.objects.append(placed)
-        return placed.name
+        self.objects.append(ObjectPlacement("stick", "yellow", pose))
+        return self.objects[-1].name
 
     def suits_stick(
         self, robot: int, x: FloatArray, y: FloatArray, yaw: FloatArray
@@ -319,8 +326,7 @@ class ObjectPlacer:
         found = self._bases()
         for placed in self.objects:
             if not placed.entity.kind.tool and placed.name != but:
-                disc = (placed.pose.x, placed.pose.y, placed.entity.kind.disc_m)
-                found.append(disc)
+                found.append((placed.pose.x, placed.pose.y, placed.entity.kind.disc_m))
         return found
 
     def _bases(self) -> list[Disc]:

@@ -6,7 +6,7 @@ its goal are tried.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice, permutations, product
 
@@ -82,19 +82,43 @@ class _RecordedPlacer(ObjectPlacer):
         instance: Instance,
         order: tuple[int, ...],
         there: tuple[ObjectPlacement, ...],
+        choices: tuple[int, ...] = (),
     ) -> None:
         super().__init__(
             instance.scene.robots, stream("rules"), order, instance.scene.gap_m
         )
         self.rule = rule.kind if (rule := instance.goal.rule) else ""
+        self.choices = list(choices)
+        """Results of :meth:`choose`, in order."""
+        self.counts: list[int] = []
+        """The number of possibilities of each."""
         self._left = list(there)
         self._asked: list[tuple[ObjectPlacement, Zone, int]] = []
         self._stick_of: int | None = None
         self._robots = robot_phrases(instance.scene.robots)
 
-    def put(self, kind: str, zone: ZoneLike, color: str | None = None) -> str:
-        """Return the next object of a kind."""
-        placed = self._take(kind, color)
+    def choose(self, count: int) -> int:
+        """Return the next choice; the first possibility where none is given."""
+        self.counts.append(count)
+        if len(self.choices) < len(self.counts):
+            self.choices.append(0)
+        return self.choices[len(self.counts) - 1]
+
+    def others(self, given: int) -> Iterator[tuple[int, ...]]:
+        """Yield the choices that differ from these in one that was not given."""
+        for at in range(given, len(self.counts)):
+            for other in range(1, self.counts[at]):
+                yield (*self.choices[:at], other)
+
+    def put(
+        self,
+        kind: str,
+        zone: ZoneLike,
+        color: str | None = None,
+        mass_kg: float | None = None,
+    ) -> str:
+        """Return the next object of a kind and a mass."""
+        placed = self._take(kind, color, mass_kg)
         wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
         self._asked.append((placed, wanted, len(self.objects)))
         self.objects.append(placed)
@@ -103,14 +127,17 @@ class _RecordedPlacer(ObjectPlacer):
 
     def stick(self, robot: int) -> str:
         """Return the stick."""
-        placed = self._take("stick", None)
+        placed = self._take("stick", None, None)
         self._stick_of = robot
         self.objects.append(placed)
         return placed.name
 
-    def _take(self, kind: str, color: str | None) -> ObjectPlacement:
+    def _take(
+        self, kind: str, color: str | None, mass_kg: float | None
+    ) -> ObjectPlacement:
         for placed in self._left:
-            if placed.kind == kind and color in (None, placed.color):
+            alike = placed.kind == kind and placed.mass_kg == mass_kg
+            if alike and color in (None, placed.color):
                 self._left.remove(placed)
                 return placed
         raise PlacementError(kind)
@@ -187,19 +214,34 @@ def _ways(instance: Instance, task: Task) -> Iterator[tuple[_RecordedPlacer, Goa
     for placed in instance.scene.objects:
         if placed not in extra:
             by_kind.setdefault(placed.kind, []).append(placed)
+    there_are = [robot.hand for robot in instance.scene.robots]
     for order in LAYOUTS[task.layout].orders:
+        if there_are != task.hands_of(order):
+            continue
         every = product(*map(permutations, by_kind.values()))
         for chosen in islice(every, _MOST_WAYS):
             there = tuple(placed for kind in chosen for placed in kind)
-            placer = _RecordedPlacer(instance, order, (*there, *extra))
-            try:
-                goal = task.arrange(placer)
-                for placed in extra:
-                    placer.put(placed.kind, placer.anywhere(), placed.color)
-            except (LemmaError, PlacementError):
-                continue
-            if set(goal.pairs) == set(instance.goal.pairs):
-                yield placer, replace(goal, rule=instance.goal.rule)
+            ways: list[tuple[int, ...]] = [()]
+            while ways:
+                choices = ways.pop()
+                placer = _RecordedPlacer(instance, order, (*there, *extra), choices)
+                goal = _arranged(placer, task, extra)
+                ways += placer.others(len(choices))
+                if goal and set(goal.pairs) == set(instance.goal.pairs):
+                    yield placer, replace(goal, rule=instance.goal.rule)
+
+
+def _arranged(
+    placer: _RecordedPlacer, task: Task, extra: Sequence[ObjectPlacement]
+) -> Goal | None:
+    """Return the goal that a task sets with what lies there; None if it cannot."""
+    try:
+        goal = task.arrange(placer)
+        for placed in extra:
+            placer.put(placed.kind, placer.anywhere(), placed.color, placed.mass_kg)
+    except (LemmaError, PlacementError):
+        return None
+    return goal
 
 
 def _crowded(instance: Instance) -> Iterator[str]:

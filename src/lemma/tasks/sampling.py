@@ -1,7 +1,7 @@
 """Samples the instance of a key: rejection sampling with named random streams."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,17 +114,22 @@ def _place_team(
     order: tuple[int, ...],
     rng: np.random.Generator,
 ) -> tuple[tuple[RobotPlacement, ...], Gap | None]:
-    """Place the robots around the table.
+    """Place the robots around the table, each with its hand.
 
     Raises:
         PlacementError: They do not fit.
     """
+    gap_m = None
     if len(team) == 2:
-        return place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
-    robots = LAYOUTS[task.layout].place(team, rng)
-    if robots is None:
-        raise PlacementError(task.layout)
-    return robots, None
+        there, gap_m = place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
+    else:
+        placed = LAYOUTS[task.layout].place(team, rng)
+        if placed is None:
+            raise PlacementError(task.layout)
+        there = placed
+    hands = task.hands_of(order)
+    robots = (replace(r, hand=h) for r, h in zip(there, hands, strict=True))
+    return tuple(robots), gap_m
 
 
 def _distract(placer: ObjectPlacer) -> str:

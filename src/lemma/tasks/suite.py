@@ -12,7 +12,8 @@ from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance, splits_of
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
-from lemma.tasks.teams import bridge, families  # noqa: F401 - adds tasks
+from lemma.tasks.teams import bridge, families, strong  # noqa: F401 - adds tasks
+from lemma.tasks.teams.pairs import PAIR_TASK, PAIRS, instance_of_pair
 
 __all__ = [
     "FREE_SPLIT",
@@ -54,7 +55,8 @@ def check_split(task: str, split: str) -> None:
         InvalidConfigError: The task has no frozen lists.
     """
     TASKS[task]
-    known("split", split, (*SPLITS, FREE_SPLIT))
+    pairs = (PAIRS,) if task == PAIR_TASK else ()
+    known("split", split, (*SPLITS, FREE_SPLIT, *pairs))
     if split != FREE_SPLIT and not has_frozen_lists(task):
         raise InvalidConfigError(
             f"Task {task!r} has no frozen list {split!r}; only those of suites "
@@ -67,7 +69,8 @@ def load_instance(task: str, split: str, index: int) -> Instance:
 
     Args:
         task: Name of the task.
-        split: ``"train"``, ``"val"``, ``"test"`` or ``"free"``.
+        split: ``"train"``, ``"val"``, ``"test"`` or ``"free"``; of ``pass`` also
+            ``"pairs"``, see :mod:`lemma.tasks.teams.pairs`.
         index: Index in the split; the seed for ``"free"``.
 
     Raises:
@@ -78,6 +81,8 @@ def load_instance(task: str, split: str, index: int) -> Instance:
     if split == FREE_SPLIT:
         seed = whole("index", index, 0, LARGEST_INDEX)
         return sample(TASKS[task], split, seed).instance
+    if split == PAIRS:
+        return instance_of_pair(index)
     number = whole("index", index, 0, splits_of(task)[split] - 1)
     return Instance.from_dict(json.loads(_frozen_lines(task, split)[number]))
 

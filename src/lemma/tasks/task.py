@@ -1,13 +1,14 @@
 """Tasks: arrangement of objects, goals, and instructions."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from gymnasium.envs import registration
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry, check_fields
+from lemma.robots.hand import HANDS, STANDARD
 from lemma.tasks.goal import Goal
 from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
@@ -52,6 +53,9 @@ class Task:
     rules: tuple[str, ...] = ()
     """Kinds of rules, names in :data:`~lemma.tasks.teams.rule.RULES`. Each instance has
     one, drawn with equal probability; ``arrange`` gets it as ``placer.rule``."""
+    hands: tuple[str, ...] = ()
+    """Hands of the robots by role, names in ``lemma.robots.hand.HANDS``, that of
+    ``placer.order[0]`` first. If empty, all have the standard one."""
     kinds: tuple[str, ...] = ()
     """Unlisted kinds of objects on its tables, such as ``"plank"``, names in
     :data:`~lemma.scene.objects.kind.OBJECT_KINDS`. Its actions and observations have
@@ -89,6 +93,22 @@ class Task:
                 f"or more, of {size} arm types each, such as "
                 f"{(('ur5',) * (size - 1) + ('ur10',),)!r}."
             )
+
+        if self.hands and len(self.hands) != size:
+            raise InvalidConfigError(
+                f"Task {self.name!r} has {len(self.hands)} hands for {size} robots."
+            )
+        for hand in self.hands:
+            HANDS[hand]
+
+    def hands_of(self, order: Sequence[int]) -> list[str]:
+        """Return the hands of the robots by number.
+
+        Args:
+            order: The robots by role.
+        """
+        hands = self.hands or (STANDARD,) * len(order)
+        return [hands[order.index(robot)] for robot in range(len(order))]
 
     @property
     def gym_id(self) -> str:

@@ -1,5 +1,5 @@
-"""Pages that are looked at in a browser: the live page, failures, and replays in 3-D.
+"""Pages for a browser: the live page, failures, and replays in 3D.
 
-Numbers and tables of results belong to ``evaluation.report``, pictures and static pages
-to ``viz``.
+``evaluation.report`` computes numbers and tables of results; ``viz`` makes pictures and
+static pages.
 """

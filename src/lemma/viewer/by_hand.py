@@ -1,4 +1,4 @@
-"""The parts of the panel for what visitors do by hand: to a table, and as robots."""
+"""Panel widgets for changes of the table, orders, and teleoperation by a visitor."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,20 +20,20 @@ from lemma.viewer.scene.dragging import Dragging
 from lemma.viewer.words import order_words, part, team_html
 
 LARGEST_FILE = 1_000_000
-"""Bytes of a file that are read."""
+"""Largest size of an uploaded file [bytes]; larger ones are refused."""
 NOTHING_TO_ORDER = "nothing now"
 OPEN, CLOSE = GRIPS = ("Open", "Close")
 TARGET = "/teleoperation"
-"""Name of the node with the handles of the hand."""
+"""Name of the scene node with the handles of the hand."""
 _SCALE = 0.3
 
 Complain = Callable[[str], None]
-"""Called with the reason why something cannot be done; ``""`` if it was done."""
+"""Called with the reason why an action is impossible; with ``""`` after success."""
 
 
 @contextmanager
 def complaining(complain: Complain) -> Iterator[None]:
-    """Report an error of what is done meanwhile, or that there was none."""
+    """Report a :class:`LemmaError` of the body, or success."""
     try:
         yield
     except LemmaError as error:
@@ -43,7 +43,7 @@ def complaining(complain: Complain) -> Iterator[None]:
 
 
 def show_if(widget: Any, visible: bool) -> None:
-    """Show or hide a widget; nothing is sent where nothing changes."""
+    """Show or hide a widget; send only changes."""
     if widget.visible != visible:
         widget.visible = visible
 
@@ -54,12 +54,12 @@ class DraggingPanel:
     def __init__(
         self, server: viser.ViserServer, session: Session, complain: Complain
     ) -> None:
-        """Make the widgets, and the dragging that they command.
+        """Make the widgets, and the dragging that they control.
 
         Args:
-            server: The page.
-            session: Takes their commands.
-            complain: Called with the reason why something cannot be done.
+            server: The page's server.
+            session: The session that receives their commands.
+            complain: Called with the reason why an action is impossible.
         """
         self._session, self._complain = session, complain
         self.dragging = Dragging(server, self.drop)
@@ -80,7 +80,7 @@ class DraggingPanel:
         self._instance: Instance | None = None
 
     def drop(self, name: str, pose: Pose2) -> None:
-        """Put a robot or an object where it was carried, if it can be there."""
+        """Put a dragged robot or object at a pose, if it can be there."""
         with complaining(self._complain):
             try:
                 self._session.move(name, pose)
@@ -89,7 +89,7 @@ class DraggingPanel:
                 raise
 
     def download(self, client: Any) -> None:
-        """Give a visitor the table as a file, as ``--instance`` takes it."""
+        """Send a visitor the table as a JSON file for ``--instance``."""
         with complaining(self._complain):
             table = self._session.play.request.instance()
             name = f"{table.task}-{table.split}-{table.index}.json"
@@ -97,10 +97,12 @@ class DraggingPanel:
             client.send_file_download(name, content, save_immediately=True)
 
     def read(self, content: bytes) -> None:
-        """Set the table that is in a file."""
+        """Set the table from the content of a JSON file."""
         with complaining(self._complain):
             if len(content) > LARGEST_FILE:
-                raise InvalidConfigError(f"The file has {len(content):,} bytes.")
+                raise InvalidConfigError(
+                    f"The file has more than {LARGEST_FILE:,} bytes."
+                )
             self._session.take(Instance.read(content, "The file"))
 
     def refresh(self, play: Play) -> None:
@@ -118,7 +120,7 @@ class DraggingPanel:
             self._complain(play.moved.problem)
 
     def allow(self, instance: Instance) -> None:
-        """Let visitors drag the things whose box is ticked."""
+        """Allow dragging of the groups whose box is ticked."""
         names = set(instance.scene.object_names) if self.things.value else set()
         if self.robots.value:
             names |= set(instance.scene.robot_names)
@@ -132,8 +134,8 @@ class OrderPanel:
         """Make the widgets.
 
         Args:
-            server: The page.
-            session: Takes their commands.
+            server: The page's server.
+            session: The session that receives their commands.
         """
         self._session = session
         self._asked: tuple[object, ...] = ()
@@ -145,12 +147,12 @@ class OrderPanel:
         with gui.add_folder("Orders", visible=False) as self.folder:
             self.text = gui.add_html("")
             self.robot = gui.add_dropdown("Robot", ("robot",))
-            hint = "It finishes what it does, and then does what you order alone."
+            hint = "It finishes its sub-task and then follows your orders only."
             self.take = gui.add_button("Take over", hint=hint)
             hint = "Let the expert lead this robot again."
             self.back = gui.add_button("Hand back", hint=hint, visible=False)
             self.what = gui.add_dropdown("Order", (NOTHING_TO_ORDER,))
-            hint = "As soon as this robot is free, and what it needs is there."
+            hint = "Begins once the robot is free and its objects are in place."
             self.give = gui.add_button("Give order", color="blue", hint=hint)
         self.take.on_click(lambda _: self.lead(by_visitor=True))
         self.back.on_click(lambda _: self.lead(by_visitor=False))
@@ -164,19 +166,19 @@ class OrderPanel:
         return names[options.index(self.robot.value) if found else 0]
 
     def lead(self, *, by_visitor: bool) -> None:
-        """Take the chosen robot, or give it back."""
+        """Take the chosen robot for the visitor, or give it back to the expert."""
         play = self._session.play
         if isinstance(play, TeamPlay) and play.takes_orders:
             (play.take if by_visitor else play.give_back)(self._chosen(play))
 
     def order(self) -> None:
-        """Give the chosen order."""
+        """Send the chosen order."""
         play, subtask = self._session.play, self._by_words.get(self.what.value)
         if isinstance(play, TeamPlay) and play.takes_orders and subtask is not None:
             play.order(subtask)
 
     def refresh(self, play: Play) -> None:
-        """Show what robots do, and what the chosen one could be ordered."""
+        """Show the robots' activities and the possible orders of the chosen one."""
         here = isinstance(play, TeamPlay) and play.takes_orders
         show_if(self.folder, here)
         if not isinstance(play, TeamPlay) or not here or play.instance is None:
@@ -207,7 +209,7 @@ class OrderPanel:
 
 
 class TeleoperationPanel:
-    """Widgets for leading hands; visible while an episode goes on."""
+    """Widgets for teleoperation; visible while an episode runs."""
 
     def __init__(
         self, server: viser.ViserServer, session: Session, complain: Complain
@@ -215,9 +217,9 @@ class TeleoperationPanel:
         """Make the widgets.
 
         Args:
-            server: The page.
-            session: Takes their commands.
-            complain: Called with the reason why something cannot be done.
+            server: The page's server.
+            session: The session that receives their commands.
+            complain: Called with the reason why an action is impossible.
         """
         self._server, self._session, self._complain = server, session, complain
         self._target: Any = None
@@ -243,12 +245,12 @@ class TeleoperationPanel:
         return names.index(self.robot.value) if self.robot.value in names else 0
 
     def take_over(self) -> None:
-        """Lead the robots from now on, first the one that was acting."""
+        """Let the visitor lead the robots, first the one that was acting."""
         with complaining(self._complain):
             self._session.play.take_over()
 
     def grip(self, what: str) -> None:
-        """Open or close the gripper of the robot that is led."""
+        """Open or close the gripper of the chosen robot."""
         teleoperator = self._session.play.teleoperator
         if teleoperator is not None:
             teleoperator.grip(self._number, opened=what == OPEN)
@@ -262,7 +264,7 @@ class TeleoperationPanel:
             client.send_file_download(name, content, save_immediately=True)
 
     def refresh(self, play: Play) -> None:
-        """Show the handles at the target of the hand that is led, if any."""
+        """Show the handles at the target of the chosen hand while a visitor leads."""
         leads, goes_on = play.is_led, play.acts and not play.transport.over
         teleoperator = play.teleoperator
         by_orders = isinstance(play, TeamPlay)
@@ -296,14 +298,14 @@ class TeleoperationPanel:
             self._target.on_update(self._lead)
 
     def _offer(self, instance: Instance, acting: str) -> None:
-        """Offer the robots of a table, first the one that was acting."""
+        """Set the choice of robots; select the one that was acting."""
         names = instance.scene.robot_names
         phrases = robot_phrases(instance.scene.robots)
         self.robot.options = phrases
         self.robot.value = phrases[names.index(acting) if acting in names else 0]
 
     def forget(self) -> None:
-        """Know that the nodes of the page are gone."""
+        """Drop the handles after all nodes of the page were removed."""
         self._target = None
 
     async def _lead(self, event: Any) -> None:

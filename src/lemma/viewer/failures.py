@@ -1,4 +1,4 @@
-"""The page of failures: a report's list of them, each played again on demand."""
+"""The page of failures: the list of a report, with replays computed on demand."""
 
 import threading
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -17,7 +17,7 @@ from lemma.viewer.server import Guard, address_of, check_address
 from lemma.viz.pages.report import Findings, failures_page
 
 NOT_SAID = (
-    "Some cannot be played again: lines of control level hold no motor commands, and "
+    "Some cannot be played again: lines of control level have no motor commands, and "
     "other versions have other instances."
 )
 _REPLAYS = "replays"
@@ -26,7 +26,7 @@ _PORTS = 100
 
 
 class FailurePage:
-    """A page on an address, with the failures of results."""
+    """A server of a page with the failures of results."""
 
     def __init__(
         self,
@@ -37,30 +37,28 @@ class FailurePage:
         hosts: Collection[str] = (),
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Listen.
+        """Listen on an address.
 
         Args:
             cases: Episodes of results.
             host: Address to listen on.
-            port: Port to listen on; the next one that is free if it is taken.
-            policy: Title of the policy whose failures come first; all if None.
-            hosts: Names by which a proxy may be called.
-            tell: Called with a sentence when a request is refused for the first time.
+            port: Port to listen on; if it is taken, the next free one.
+            policy: Title of the policy whose failures are shown first; None for all.
+            hosts: Allowed host names of a proxy.
+            tell: Called with a sentence at the first refused request.
 
         Raises:
-            InvalidConfigError: That is no address of this machine, or no port; or no
+            InvalidConfigError: The address or port is not valid on this machine; or no
                 episode failed.
         """
         if not cases:
             raise InvalidConfigError(
-                "No lines of episodes lie beside these results: there must be the "
-                f"{EPISODES} that 'lemma evaluate' wrote with them, or the "
-                f"NAME{PACKED} of 'lemma reproduce'."
+                "These results have no lines of episodes. Put the file "
+                f"{EPISODES} of 'lemma evaluate', or NAME{PACKED} of 'lemma "
+                "reproduce', into the same folder."
             )
         if all(case.cause is None for case in cases):
-            raise InvalidConfigError(
-                f"None of the {len(cases)} episodes failed whose lines are there."
-            )
+            raise InvalidConfigError(f"None of the {len(cases)} episodes failed.")
         check_address(host, port)
         self.cases = tuple(cases)
         self._guard = Guard(host, hosts, tell)
@@ -78,7 +76,7 @@ class FailurePage:
             self.address += f"/#failures?policy={number}"
 
     def run(self) -> None:
-        """Answer until it is closed from another thread, or interrupted."""
+        """Serve until another thread calls :meth:`close`, or until an interrupt."""
         self._runs = True
         self._server.serve_forever(poll_interval=0.1)
 
@@ -107,7 +105,7 @@ class FailurePage:
         return Findings(self.cases, missing=missing, replays=replays, beside=beside)
 
     def answer(self, path: str) -> bytes | None:
-        """Return a file of the page; None if there is no such file."""
+        """Return the content of a file of the page; None if there is no such file."""
         address = urlsplit(path)
         if address.path in self._files:
             return self._files[address.path]
@@ -123,7 +121,7 @@ class FailurePage:
         try:
             page = replays_page([replay_of_case(self.cases[number], beside)], None)
         except Exception as error:
-            # The page reports any error, and stays alive.
+            # The page reports any error and continues.
             what = str(error) if isinstance(error, LemmaError) else repr(error)
             page = f"<!doctype html><p>It cannot be played again: {escape(what)}</p>"
         return page.encode()
@@ -155,7 +153,7 @@ class FailurePage:
 
 
 def _address(number: object) -> str:
-    """Return the address of an episode's page, below that of the failures."""
+    """Return the address of an episode's page, relative to the page of failures."""
     return f"/{_REPLAYS}/{number}.html"
 
 
@@ -165,7 +163,7 @@ def policies_of(cases: Iterable[Case]) -> tuple[str, ...]:
 
 
 def _start(case: Case) -> tuple[object, ...]:
-    """Return instance and instruction, by which episodes are compared."""
+    """Return instance and instruction, which comparable episodes have in common."""
     row = case.row
     moved = row.get("perturb_start", False)
     kind, about = row["instruction_kind"], case.about

@@ -1,4 +1,4 @@
-"""The page: a server, a session, a panel, and the loop that keeps them in step."""
+"""The page: a server, a session, a panel, and the loop that updates them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -55,8 +55,8 @@ _LOOK_AT_FIRST = {"names"}
 class Panel:
     """Widgets of a page, bound to a session.
 
-    The page calls :meth:`refresh` again and again; everything else is called by users,
-    in threads of the server.
+    The page's loop calls :meth:`refresh`; threads of the server call all other methods
+    when users act.
     """
 
     def __init__(
@@ -68,12 +68,12 @@ class Panel:
         """Make the widgets.
 
         Args:
-            server: The page.
-            session: Takes its commands.
-            set_overlay: Shows or hides an overlay.
+            server: The page's server.
+            session: The session that receives the commands.
+            set_overlay: Function that shows or hides an overlay, by name.
         """
         self._session = session
-        # The library types values of its handles as read-only.
+        # In viser's types, values of handles are read-only.
         self._gui: Any = server.gui
         self._status: Status | None = None
         self._timeline = self._reached = ""
@@ -111,7 +111,7 @@ class Panel:
             self.saying = gui.add_dropdown(
                 "Sentence", SAYINGS, initial_value=request.saying
             )
-            hint = "Of a policy: http://HOST:PORT or vla-eval://..."
+            hint = "Address of a policy: http://HOST:PORT or vla-eval://..."
             self.address = gui.add_text("Server", "", hint=hint)
             ask_there = gui.add_button("Offer its policy")
             dark = gui.add_checkbox("Dark", False)
@@ -155,7 +155,7 @@ class Panel:
         """Return the present choices as a request.
 
         Raises:
-            LemmaError: It is impossible.
+            LemmaError: The choices are not valid.
         """
         chosen = self.task.value, self.split.value, self.index.value
         set_now = self._session.play.request
@@ -169,20 +169,25 @@ class Panel:
         )
 
     def act(self, *, steps: bool = False) -> None:
-        """Set the table that is chosen, and act on it.
+        """Set the chosen table, and act.
 
         Args:
-            steps: Whether to stop after the first sub-task.
+            steps: Whether to pause after the first sub-task.
         """
         self.set_table(acts=True, steps=steps)
 
     def set_table(self, *, acts: bool = False, steps: bool = False) -> None:
-        """Set the table that is chosen, and wait or act."""
+        """Set the chosen table, and act if wanted.
+
+        Args:
+            acts: Whether to act; otherwise only the table is set.
+            steps: Whether to pause after the first sub-task.
+        """
         with complaining(self.complain):
             self._session.ask(self.request(), acts=acts, steps=steps)
 
     def move(self, what: str) -> None:
-        """Play, pause, step or restart, as if it were pressed."""
+        """Execute one of :data:`MOVES`."""
         play = self._session.play
         if what == PAUSE:
             play.transport.pause()
@@ -197,14 +202,14 @@ class Panel:
             play.transport.step()
 
     def offer(self) -> None:
-        """Offer the policy behind the address that is written, and choose it."""
+        """Add the policy at the entered address to the choices, and choose it."""
         with complaining(self.complain):
             self._session.offer(self.address.value)
             self.policy.options = self._session.policies
             self.policy.value = self.address.value.strip()
 
     def complain(self, text: str) -> None:
-        """Show why something cannot be done; an empty text clears it."""
+        """Show the reason why an action is impossible; an empty text clears it."""
         self._complaint, self._status = text, None
         if text:
             self.status.content = part("complaint", text)
@@ -218,19 +223,19 @@ class Panel:
             self.set_table()
 
     def typed(self, event: Any) -> None:
-        """Treat what a visitor types as an own sentence."""
+        """Treat a visitor's input as their own sentence."""
         if event.client_id is not None:
             self.saying.value = OWN_WORDS
             if len(self.text.value) > LONGEST:
                 self.text.value = self.text.value[:LONGEST]
 
     def sought(self, event: Any) -> None:
-        """Look at the moment that a visitor has moved the slider to."""
+        """Show the time at which a visitor has put the slider."""
         if event.client_id is not None:
             self._session.play.transport.seek(self.time.value)
 
     def refresh(self, play: Play) -> None:
-        """Show the status of an episode; unchanged parts are not sent again."""
+        """Show the status of an episode; send only changes."""
         status, transport = play.status, play.transport
         self.table.refresh(play)
         self.teleoperation.refresh(play)
@@ -273,21 +278,21 @@ class Panel:
             self.picture.options = options
 
     def show_picture(self, picture: Any | None) -> None:
-        """Show a picture, (H, W, 3) uint8; None for none."""
+        """Show a picture, (H, W, 3) uint8; None hides it."""
         if picture is not None:
             self.image.image = picture
         show_if(self.image, picture is not None)
 
 
 class Page:
-    """A page on an address; all of its tabs see the same."""
+    """A page with one session; all browser tabs show the same."""
 
     def __init__(self, session: Session, server: viser.ViserServer) -> None:
         """Show a session.
 
         Args:
-            session: Closed with the page.
-            server: Of the page; closed with it.
+            session: The session; the page closes it.
+            server: The page's server; the page closes it.
         """
         self._server = server
         self.session = session
@@ -300,10 +305,10 @@ class Page:
         self._shown: Play | None = None
         self._rounds = Rounds()
         self.updates = 0
-        """How often the loop has gone round."""
+        """Number of iterations of the loop."""
 
     def tick(self, real_s: float) -> None:
-        """Move on by some real time [s], and show it."""
+        """Advance by a real time [s], and show the state."""
         play = self.session.play
         play.transport.advance(real_s)
         scene, instance, qpos = play.scene, play.instance, play.transport.qpos()
@@ -326,16 +331,16 @@ class Page:
         self.updates += 1
 
     def visitors(self) -> list[viser.ClientHandle]:
-        """Return who looks at it now: each tab is one."""
+        """Return the present visitors, one per browser tab."""
         return list(self._server.get_clients().values())
 
     def run(self) -> None:
-        """Go on until it is closed from another thread, or interrupted."""
+        """Run until another thread calls :meth:`close`, or until an interrupt."""
         self._rounds.go(self.tick)
 
     def close(self) -> None:
-        """Stop listening, and free what was held."""
-        # The loop uses the session and the scene: it ends first.
+        """Stop listening, and release session, pictures and server."""
+        # The loop uses the session and the scene, so it ends first.
         self._rounds.end()
         self.session.close()
         self.pictures.close()

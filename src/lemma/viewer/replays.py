@@ -1,7 +1,8 @@
-"""Episodes to turn around: pages that need no server, each opened from the disk.
+"""Interactive 3D replays of episodes: pages that need no server.
 
-Browsers let a page from the disk read no other files but scripts. Recordings therefore
-lie in the page itself, and the player in it or, where many pages share it, in a script.
+Browsers let a page from the disk load scripts but no other files. A page therefore
+contains its recordings. It also contains the player, or shares it with other pages as a
+script.
 """
 
 import base64
@@ -47,14 +48,14 @@ from lemma.viz.replay import (
 )
 
 VISER = ".viser"
-"""End of the names of files of the player."""
+"""Ending of recordings for viser's player."""
 PAGE = "index.html"
 PLAYER = "player.js"
-"""Name of the script that pages of one folder share."""
+"""Name of the script with the player, which pages of a folder share."""
 LAST_S = 1.5
-"""Time that the end stays before the player begins again [s]."""
+"""Time for which the player shows the end before it begins again [s]."""
 _ASPECTS = 1.6, 2.1
-"""Of windows with one table and with two."""
+"""Aspect ratios of windows with one table and with two."""
 _APART_M = 2.0 * TABLE_HALF_X_M + 0.2
 _BESIDE_M = 0.9
 _TITLE_M = (0.0, TABLE_HALF_Y_M, 0.0)
@@ -67,7 +68,7 @@ class Replay:
     """One episode, or two side by side."""
 
     name: str
-    """Of letters, digits, dashes and underscores; follows ``#`` in the address."""
+    """Letters, digits, dashes and underscores; follows ``#`` in the address."""
     title: str
     sentence: str
     """The instruction."""
@@ -76,29 +77,29 @@ class Replay:
     content: bytes
     """Content of a ``.viser`` file, from :func:`serialize`."""
     opens_s: float = 0.0
-    """Simulated time that is shown first [s]."""
+    """Simulated time at which the player begins [s]."""
     note: str = ""
-    """A remark below the sentence; empty for none."""
+    """A remark below the sentence; empty without one."""
 
 
 def replays_in(
     folder: Path, task: str | None, split: str | None, limit: int
 ) -> tuple[int, Iterator[Replay]]:
-    """Find episodes.
+    """Find episodes, and play them again.
 
     Args:
         folder: A recipe, a result of ``lemma evaluate``, or the file of an episode
-            that was led by hand.
-        task: Only those of this task.
-        split: Only those of this split.
-        limit: Largest number.
+            with teleoperation.
+        task: Only episodes of this task; None for all.
+        split: Only episodes of this split; None for all.
+        limit: Largest number of episodes.
 
     Returns:
-        Their number, and each of them as soon as it was played again.
+        Number of episodes, and an iterator that plays each again when it is reached.
 
     Raises:
-        InvalidConfigError: There are none.
-        DatasetError: It holds neither, or is damaged.
+        InvalidConfigError: There are no such episodes.
+        DatasetError: The folder has none of these contents, or they are damaged.
     """
     found: Sequence[Callable[[], Replay]]
     if is_teleoperated(folder):
@@ -124,7 +125,7 @@ def replays_in(
 
 
 def cases_in(folder: Path) -> list[Case]:
-    """Return the episodes of results, those that failed first.
+    """Return the episodes of results, failed ones first.
 
     Raises:
         DatasetError: There are no results, or they are damaged.
@@ -132,8 +133,8 @@ def cases_in(folder: Path) -> list[Case]:
     results = read_results([folder])
     if not results:
         raise DatasetError(
-            f"There is neither a recipe nor a result in {folder}. Name what 'lemma "
-            "generate' or 'lemma evaluate' wrote."
+            f"There is neither a recipe nor a result in {folder}. Name the output of "
+            "'lemma generate' or 'lemma evaluate'."
         )
     cases, _ = cases_of(entries_of(results, complete=False), [folder])
     return sorted(cases, key=lambda case: case.cause is None)
@@ -144,7 +145,7 @@ def replay_of_case(case: Case, other: Case | None = None) -> Replay:
 
     Args:
         case: The episode.
-        other: The other one; if None, the expert goes on from a mistake.
+        other: The other one; if None, the expert's continuation from the mistake.
 
     Raises:
         LemmaError: It cannot be played again.
@@ -191,17 +192,17 @@ def _of_recording(name: str, title: str, recording: Recording) -> Replay:
 
 
 def write_folder(folder: Path, replays: Sequence[Replay]) -> Path:
-    """Write a page that needs nothing else, and its recordings as files beside it.
+    """Write a self-contained page, and its recordings as further files.
 
     Args:
-        folder: Where; made if it is missing.
+        folder: The folder; made if it is missing.
         replays: The episodes.
 
     Returns:
-        The page.
+        Path of the page.
 
     Raises:
-        DatasetError: It cannot be written there.
+        DatasetError: The files cannot be written.
     """
     for replay in replays:
         path, write = folder / f"{replay.name}{VISER}", partial(_write, replay.content)
@@ -224,12 +225,12 @@ def write_cases(
 
     Args:
         cases: Number and episode of each.
-        folder: Where; made if it is missing.
-        engine: Where to work.
-        advance: Called with the number of episodes that were done since the last call.
+        folder: The folder; made if it is missing.
+        engine: Workers that run the jobs.
+        advance: Called with the number of newly finished episodes.
 
     Returns:
-        Names of the files in that folder, by number.
+        File names in the folder, by number of the episode.
     """
     jobs = [(number, replay_of_case, (case,)) for number, case in cases]
     written = {}
@@ -241,21 +242,21 @@ def write_cases(
 
 
 def write_recording(path: Path, recording: Recording) -> None:
-    """Write a page that plays a recording; its player lies beside it, for others too.
+    """Write a page that plays a recording, and the shared player in the same folder.
 
     Args:
         path: The HTML file.
-        recording: With frames.
+        recording: A recording with frames.
 
     Raises:
-        DatasetError: It cannot be written there.
+        DatasetError: The files cannot be written.
     """
     instance = recording.instance
     _write_shared(path, _of_recording(instance.task, instance.key, recording))
 
 
 def _write_shared(path: Path, replay: Replay) -> None:
-    """Write a page whose player is a script beside it."""
+    """Write a page that uses the shared player."""
     beside, script = path.parent / PLAYER, player_script()
     if not beside.exists() or beside.read_text("utf-8") != script:
         write_text(beside, script)
@@ -263,22 +264,22 @@ def _write_shared(path: Path, replay: Replay) -> None:
 
 
 def player_script() -> str:
-    """Return the script :data:`PLAYER`."""
+    """Return the content of the script :data:`PLAYER`."""
     return f"const PLAYER = {script_text(client_page())};\n"
 
 
 def client_page() -> str:
-    """Return the player, one HTML file that needs nothing else."""
+    """Return the player, a self-contained HTML file."""
     page = (Path(viser.__file__).parent / _CLIENT).read_text("utf-8")
     return page.replace("</head>", f"{macro('panel.html', 'notice')}</head>", 1)
 
 
 def replays_page(replays: Sequence[Replay], player: str | None) -> str:
-    """Return a page.
+    """Return the HTML of a page.
 
     Args:
         replays: The episodes.
-        player: HTML of the player; None if it is in the script beside the page.
+        player: HTML of the player; None to load it from :data:`PLAYER`.
     """
     episodes = [
         {
@@ -314,7 +315,7 @@ def replays_page(replays: Sequence[Replay], player: str | None) -> str:
 
 
 def _reached(side: Recording) -> str:
-    """Return how far an episode came, and the verdicts, in a line."""
+    """Return progress and verdicts of an episode, as one line."""
     if not side.stages:
         return ""
     verdicts = (f"{name}: {found}" for name, found in judged(side.stages).items())
@@ -367,7 +368,7 @@ def serialize(sides: Sequence[Recording]) -> bytes:
         serializer = server.get_scene_serializer()
         before_s = 0.0
         for time_s in sorted({time_s for side in sides for time_s, _ in side.frames}):
-            # Clocks of two episodes may differ by less than anybody sees.
+            # Times of two episodes may differ by an invisible amount.
             if time_s - before_s > 0.5 * FRAME_S:
                 serializer.insert_sleep(time_s - before_s)
                 before_s = time_s
@@ -378,7 +379,7 @@ def serialize(sides: Sequence[Recording]) -> bytes:
 
 @contextlib.contextmanager
 def _hidden_server() -> Iterator[viser.ViserServer]:
-    """Hold a hidden page: only a server can serialize a scene."""
+    """Run a hidden server: only a server can serialize a scene."""
     with socket.socket() as probe:
         probe.bind((_HOST, 0))
         port = probe.getsockname()[1]

@@ -1,8 +1,8 @@
-"""Servers of pages: address, guard, looks, and loop.
+"""Servers of pages: address, check of origins, theme, and loop.
 
-A browser lets every page open a socket to every address, this machine's too, and names
-the page whose script it is in the header ``Origin``. The guard checks it, so that
-scripts of other pages in the same browser open no socket.
+A browser lets any page open a socket to any address, including this machine's. It sends
+the page's address in the header ``Origin``. The guard checks this header, so scripts of
+other pages in the same browser cannot connect.
 """
 
 import contextlib
@@ -24,11 +24,11 @@ from lemma.core.errors import InvalidConfigError
 from lemma.viz.pages.templates import macro
 
 UPDATES_HZ = 25.0
-"""How often a scene is moved on its page."""
+"""Updates of a page's scene per second."""
 
 
 PHONE_PANEL = 0.52
-"""Share of the height that the panel covers at most in a narrow window."""
+"""Largest share of the height that the panel covers in a narrow window."""
 _PATCHING = threading.Lock()
 
 
@@ -36,28 +36,28 @@ class _Server(viser.ViserServer):
     """A server without a tunnel to the internet."""
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing: visitors cannot open a tunnel."""
+        """Do nothing, so that visitors cannot open a tunnel."""
 
 
 @dataclass
 class Guard:
-    """Decides which sockets are opened by our own page, or by no page at all."""
+    """Accepts sockets of the server's own page and of programs other than browsers."""
 
     listens_at: str
-    """Address of the server. On the loopback address it may be called by names of
-    this machine alone, even if other names resolve to it."""
+    """Address of the server. On the loopback address only names of this machine are
+    accepted, even if other names resolve to it."""
     hosts: Collection[str] = ()
-    """Names by which a proxy may be called whose pages are ours, without ports."""
+    """Allowed host names of a proxy, without ports."""
     tell: Callable[[str], None] = lambda _: None
     """Called with a sentence at the first refusal."""
     _refused: bool = field(default=False, init=False)
 
     def admits(self, origin: str | None, host: str | None) -> bool:
-        """Return whether a socket may be opened; the first refusal is told.
+        """Return whether a socket may be opened; report the first refusal.
 
         Args:
-            origin: Page whose script opens it; None if no browser says so.
-            host: Name and port by which the server was called.
+            origin: The header ``Origin``; None if it is missing.
+            host: The header ``Host``: name and port of the called server.
         """
         if origin is None:
             return True
@@ -71,7 +71,8 @@ class Guard:
             self._refused = True
             self.tell(
                 f"A page of {origin} was refused; it called this server {host}. Behind "
-                "a proxy, name the host in the browser's address bar: --allow-host HOST"
+                "a proxy, allow the host in the browser's address bar: --allow-host "
+                "HOST"
             )
         return False
 
@@ -85,9 +86,9 @@ def _is_loopback(name: str | None) -> bool:
 
 @contextlib.contextmanager
 def _guarded_by(guard: Guard) -> Iterator[None]:
-    """Let servers that are started meanwhile ask a guard before they open a socket.
+    """Make servers that start in the body check sockets with a guard.
 
-    viser has no option for it, and starts its server by this function.
+    viser has no option for it, so the function that starts its server is replaced.
     """
     library: Any = websockets.asyncio.server
 
@@ -117,39 +118,39 @@ def open_server(
     hosts: Collection[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> viser.ViserServer:
-    """Listen.
+    """Start a server.
 
     Args:
         host: Address to listen on.
-        port: Port to listen on; the next one that is free if it is taken.
-        hosts: Names by which a proxy may be called.
-        tell: Called with a sentence when a socket is refused for the first time.
+        port: Port to listen on; if it is taken, the next free one.
+        hosts: Allowed host names of a proxy.
+        tell: Called with a sentence at the first refused socket.
 
     Raises:
-        InvalidConfigError: That is no address of this machine, or no port.
+        InvalidConfigError: The address or port is not valid on this machine.
     """
     check_address(host, port)
     guard = Guard(host, hosts, tell)
-    # The library would print an address, too.
+    # viser would print an address as well.
     with contextlib.redirect_stdout(io.StringIO()), _guarded_by(guard):
         return _Server(host, port, label="LEMMA Bench", verbose=False)
 
 
 def address_of(host: str, port: int) -> str:
-    """Return the address to visit on this machine: IPv6 stands in brackets."""
+    """Return the URL for this machine; an IPv6 address is put in brackets."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
 
 def prepare_panel(server: viser.ViserServer) -> None:
-    """Lay the panel at the right, or below the scene in a narrow window."""
+    """Put the panel at the right, or below the scene in a narrow window."""
     set_theme(server.gui, dark=False)
     server.gui.main_panel.dock_right()
     server.gui.add_html(macro("panel.html", "style", PHONE_PANEL))
 
 
 def set_theme(gui: Any, *, dark: bool) -> None:
-    """Set how a page looks."""
+    """Set the theme of a page."""
     gui.configure_theme(
         dark_mode=dark,
         control_width="large",
@@ -160,7 +161,7 @@ def set_theme(gui: Any, *, dark: bool) -> None:
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop listening, and print nothing."""
+    """Stop a server without output."""
     with contextlib.redirect_stdout(io.StringIO()):
         server.stop()
 
@@ -173,7 +174,7 @@ class Rounds:
         self._over, self._turn = threading.Event(), threading.Lock()
 
     def go(self, tick: Callable[[float], None]) -> None:
-        """Go round until it is ended.
+        """Run the loop until :meth:`end`.
 
         Args:
             tick: Called with the real time since the last call [s].
@@ -189,7 +190,7 @@ class Rounds:
             self._over.wait(max(0.0, period - (time.perf_counter() - now)))
 
     def end(self) -> None:
-        """End it; the present call is waited for."""
+        """End the loop after the present call."""
         self._over.set()
         with self._turn:
             pass
@@ -199,10 +200,10 @@ def check_address(host: str, port: int) -> None:
     """Check that a server can listen there.
 
     Raises:
-        InvalidConfigError: That is no address of this machine, or no port.
+        InvalidConfigError: The address or port is not valid on this machine.
     """
     if not 0 < port < 65536:
-        raise InvalidConfigError(f"{port} is no port. Valid: 1 to 65535.")
+        raise InvalidConfigError(f"{port} is not a port. Valid: 1 to 65535.")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family) as probe:

@@ -20,10 +20,10 @@ from lemma.viz.pages.templates import macro
 from lemma.viz.recording import describe_subtask, judged, reached_words
 
 part = partial(macro, "panel.html")
-"""Returns a part of the panel, from the macro of that name."""
+"""Returns a part of the panel as HTML, from the macro of a name."""
 _LEAST_SHARE = 0.01
 _AXIS_S, _AXIS_STEP_S = 20.0, 10.0
-"""Least length of the axis of a chart, and by how much it grows [s]."""
+"""Least length of a chart's axis and step of its growth, in simulated time [s]."""
 
 
 def status_html(status: Status) -> str:
@@ -34,11 +34,11 @@ def status_html(status: Status) -> str:
 
 
 def reached_html(stages: Mapping[str, Any], *, over: bool) -> str:
-    """Return how far an episode came, and at its end the verdicts.
+    """Return the progress of an episode, and at its end the verdicts.
 
     Args:
-        stages: As in lines of results; empty for nothing.
-        over: Whether it is over.
+        stages: Stages as in lines of results; empty if unknown.
+        over: Whether the episode is over.
     """
     if not stages:
         return ""
@@ -51,7 +51,7 @@ def chart_html(play: Play, now_s: float) -> str:
 
     Args:
         play: The episode.
-        now_s: Place of the cursor [s].
+        now_s: Simulated time of the cursor [s].
     """
     lines, watch, latest = play.status.lines, play.watch, play.transport.latest
     instance = play.instance
@@ -62,11 +62,11 @@ def chart_html(play: Play, now_s: float) -> str:
         line if line.end_s is not None else line.watched(watch, end_s) for line in lines
     )
     if over:
-        # After the last sub-task robots stand still to be judged.
+        # Leave out the rest at the end, in which the episode is judged.
         end_s = max((line.end_s or 0.0 for line in lines), default=end_s)
-    # An axis that grows in steps does not shrink all bars at all times.
+    # Grow the axis in steps, so that bars do not shrink all the time.
     axis_s = 0.0 if over else max(_AXIS_S, _AXIS_STEP_S * -(-end_s // _AXIS_STEP_S))
-    # A policy that takes turns says nothing of what will come.
+    # Policies that take turns have no known plan.
     todo = play.todo if isinstance(play, TeamPlay) else None
     chart = gantt_svg(
         instance,
@@ -80,15 +80,15 @@ def chart_html(play: Play, now_s: float) -> str:
 
 
 def order_words(subtask: SubTask, instance: Instance) -> str:
-    """Return an order in words, without its robot: ``"move the red cube ..."``."""
+    """Return an order as text, without its robot: ``"move the red cube ..."``."""
     return describe_subtask(subtask, instance).partition(": ")[2]
 
 
 def team_html(play: TeamPlay) -> str:
-    """Return what each robot of a team does now.
+    """Return the present activity of each robot of a team.
 
     Args:
-        play: An episode in which all act at once.
+        play: An episode in which all robots act at once.
     """
     instance = play.instance
     if instance is None:
@@ -110,11 +110,11 @@ def team_html(play: TeamPlay) -> str:
 
 
 def why_html(explanation: Explanation, instance: Instance) -> str:
-    """Return why a policy decided as it did: its options, and who reaches what.
+    """Return the reasons of a decision: the options, and the robots' reach.
 
     Args:
-        explanation: Of one decision; the result is empty where the policy said nothing.
-        instance: Of the robots and objects.
+        explanation: The explanation; without insight the result is empty.
+        instance: The instance with the robots and objects.
     """
     insight = explanation.insight
     if insight is None:

@@ -1,5 +1,5 @@
-"""Pictures, videos, plots and static pages; without a server, and without viser.
+"""Pictures, videos, plots and static pages, without a server or viser.
 
-Numbers and tables come from ``evaluation.report``; scenes to turn around are made by
-``viewer``.
+``evaluation.report`` computes the numbers and tables; ``viewer`` makes interactive 3D
+scenes.
 """

@@ -37,7 +37,7 @@ ENTITY_INK: dict[str, Color] = {
 
 @cache
 def font(size_px: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return the font that comes with Pillow, so that it is there on every machine."""
+    """Return the font that Pillow includes, which exists on every machine."""
     return ImageFont.load_default(size_px)
 
 
@@ -47,12 +47,12 @@ def text_width(text: str, size_px: float) -> float:
 
 
 def fitting_size(text: str, size_px: float, width_px: float) -> float:
-    """Return the size, at most ``size_px``, at which a line is not too wide."""
+    """Return the largest size up to ``size_px`` at which a line fits a width."""
     return min(size_px, size_px * width_px / max(1.0, text_width(text, size_px)))
 
 
 def wrap(text: str, size_px: float, width_px: float) -> list[str]:
-    """Break a text into lines that are not too wide."""
+    """Break a text into lines that fit a width [px]."""
     lines: list[str] = []
     for word in text.split():
         longer = f"{lines[-1]} {word}" if lines else word
@@ -78,8 +78,8 @@ def label_plate(
         text: The word.
         size: Height of the letters [px].
         away: Distance from the point to the plate's middle [px].
-        occupied: Boxes to keep free, if that is possible.
-        within: Width and height of the picture, which labels do not leave [px].
+        occupied: Boxes to keep free if possible.
+        within: Width and height of the picture [px]; labels stay inside.
     """
     half_width, half_height = (text_width(text, size) + 2.0 * size) / 2, 0.78 * size
     sideways = half_width + away - half_height
@@ -101,17 +101,17 @@ def label_plate(
 
 
 class Canvas:
-    """A picture to draw on, with soft edges: it is drawn large and then reduced."""
+    """A picture to draw on; it is drawn enlarged and then reduced, for smooth edges."""
 
     def __init__(self, picture: Image.Image, oversampling: int = 2) -> None:
-        """Start from a picture, whose pixels are the unit of all lengths."""
+        """Start from a picture; its pixels are the unit of all lengths."""
         self._factor = oversampling
         size = (picture.width * oversampling, picture.height * oversampling)
         self._image = picture.convert("RGB").resize(size, Image.Resampling.BICUBIC)
         self._draw = ImageDraw.Draw(self._image, "RGBA")
 
     def picture(self) -> Image.Image:
-        """Return what was drawn."""
+        """Return the finished picture."""
         return self._image.reduce(self._factor)
 
     def _scaled(self, points: list[Point]) -> list[Point]:
@@ -179,7 +179,7 @@ class Canvas:
         color: Color = INK,
         anchor: str = "la",
     ) -> None:
-        """Write one line; ``anchor`` says which point of it is at ``at`` (Pillow)."""
+        """Write one line; ``anchor`` is the point of it at ``at``, as in Pillow."""
         self._draw.text(
             self._scaled([at])[0],
             text,
@@ -205,7 +205,7 @@ class Canvas:
             size: Height of the letters [px].
             mark: Color of the dot.
             away: Distance from the point to the plate's middle [px].
-            occupied: Boxes to keep free, if that is possible; the plate is added.
+            occupied: Boxes to keep free if possible; the plate's box is appended.
         """
         within = self._image.width / self._factor, self._image.height / self._factor
         plate = label_plate(near, text, size, away, occupied, within)
@@ -222,7 +222,16 @@ class Canvas:
 def false_color(
     values: NDArray[np.float32], low: float, high: float
 ) -> NDArray[np.uint8]:
-    """Return colors for values, near ones bright: shape (H, W, 3)."""
+    """Return colors for values, smaller ones brighter.
+
+    Args:
+        values: Shape (H, W).
+        low: Value of the brightest color.
+        high: Value of the darkest color.
+
+    Returns:
+        RGB, shape (H, W, 3).
+    """
     colors = colormaps["viridis_r"]((values - low) / (high - low), bytes=True)
     near_to_far: NDArray[np.uint8] = colors[..., :3]
     return near_to_far

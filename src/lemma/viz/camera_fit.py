@@ -19,11 +19,11 @@ _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1
 def views(
     scene: Scene, states: Sequence[FloatArray], size: tuple[int, int], quality: str
 ) -> list[Image.Image]:
-    """Draw states from one place, from which all of them can be seen.
+    """Draw states from one viewpoint that shows all of them.
 
     Args:
-        scene: The scene; the last state stays.
-        states: That :meth:`Scene.snapshot` returned.
+        scene: The scene; it is left in the last state.
+        states: States from :meth:`Scene.snapshot`.
         size: Width and height of each picture [px].
         quality: A name in :data:`lemma.scene.rendering.renderer.QUALITIES`.
     """
@@ -49,16 +49,16 @@ def overview(
 ) -> FreeCamera:
     """Return the nearest camera from a given side that has all points in its picture.
 
-    In the camera's own axes a point (r, d, f) is inside the picture of a camera at
+    In the camera's axes a point (r, d, f) is inside the picture of a camera at
     (R, D, F) if |r - R| <= a (f - F) and |d - D| <= b (f - F), with the slopes a and b
-    of the picture's edges. That is linear, so that the largest F follows directly.
+    of the picture's edges. This is linear, so the largest F has a closed form.
 
     Args:
-        points: World positions, shape (N, 3) [m]: :func:`outline` of a scene.
-        aspect: Width of the picture over its height.
+        points: World positions, shape (N, 3) [m], such as :func:`outline` returns.
+        aspect: Width of the picture divided by its height.
         azimuth_deg: Direction of view; 90 has the first robot on the left.
         elevation_deg: Direction of view against the horizontal.
-        margin: Part of the picture left free on each side.
+        margin: Share of the picture left free on each side.
     """
     direction = FreeCamera(
         azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, fovy_deg=30.0

@@ -1,8 +1,8 @@
 """A Gantt chart of an episode as SVG: one row per robot, gaps colored by their cause.
 
-It is a part of HTML pages. Places along the time axis are percentages, so a chart is as
-wide as its page, and its text keeps its size. Every span carries what it shows as
-``data-`` attributes; scripts of pages read them, and move the cursor.
+The SVG is embedded in HTML pages. Positions along the time axis are percentages, so a
+chart is as wide as its page and its text keeps its size. Every span has its values as
+``data-`` attributes; scripts of pages read them and move the cursor.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,13 +24,13 @@ class Cause(StrEnum):
 
     BUSY = "at work"
     REGION = "region held"
-    """In a sub-task, waiting for a region of the table that another robot held."""
+    """In a sub-task, waiting for a region of the table that another robot holds."""
     PREDECESSOR = "predecessor"
-    """Free before a sub-task, until what that depends on was done."""
+    """Free before a sub-task, until the sub-tasks that it depends on are done."""
     TURN = "turn of another"
-    """Free, where robots take turns, while another one was in a sub-task."""
+    """Free while another robot is in a sub-task, if robots take turns."""
     THINKING = "thinking"
-    """Free before a sub-task, although nothing that it depends on was missing."""
+    """Free before a sub-task, although all that it depends on is done."""
     NO_WORK = "no work"
     """Free after its last sub-task."""
 
@@ -46,13 +46,13 @@ class Span:
     end_s: float
     """Simulated time at which it ends [s]."""
     number: int = 0
-    """Of the sub-task that it is a part of, or that it precedes; 0 for none."""
+    """Number of the sub-task that it belongs to or precedes, from 1; 0 for none."""
     ok: bool = True
     """Whether that sub-task did not fail."""
 
     @property
     def duration_s(self) -> float:
-        """How long it is [s]."""
+        """Its duration [s]."""
         return self.end_s - self.start_s
 
 
@@ -63,14 +63,14 @@ def spans_of(
     *,
     todo: Sequence[SubTask] | None = (),
 ) -> tuple[Span, ...]:
-    """Return how each robot of a team spent an episode, without a gap.
+    """Return the spans of each robot of a team, which cover the whole episode.
 
     Args:
         instance: The problem.
-        lines: The sub-tasks, in any order; lines without one are left out.
-        until_s: The end of the chart: of the episode, or the present [s].
-        todo: Sub-tasks that are planned but have not begun, in order. None if they are
-            not known; then nothing is said of robots that are free now.
+        lines: The sub-tasks, in any order; lines without a sub-task are skipped.
+        until_s: The end of the chart [s]: end of the episode, or the present.
+        todo: Planned sub-tasks that have not begun, in order. None if they are unknown;
+            then robots that are free now have no span at the end.
 
     Returns:
         The spans of the first robot in order of time, then those of the next one.
@@ -103,7 +103,10 @@ def spans_of(
 def _ready(
     instance: Instance, lines: Sequence[Line], todo: Sequence[SubTask]
 ) -> list[float]:
-    """Return when all that each sub-task depends on was done [s]; infinite if not."""
+    """Return the times at which each sub-task's predecessors were done [s].
+
+    A time is infinite if they are not done yet.
+    """
     steps = [line.subtask for line in lines if line.subtask is not None]
     needs = predecessors((*steps, *todo), tuple(instance.scene.regions))
     ends = [_effect_s(line) for line in lines] + [float("inf")] * len(todo)
@@ -127,7 +130,7 @@ def _takes_turns(lines: Sequence[Line], until_s: float) -> bool:
 
 
 def _gap(gap: Span, ready_s: float) -> Iterator[Span]:
-    """Yield the parts of a gap before and after a sub-task could have begun."""
+    """Yield the parts of a gap before and after its sub-task could have begun."""
     ready_s = min(max(ready_s, gap.start_s), gap.end_s)
     yield replace(gap, cause=Cause.PREDECESSOR, end_s=ready_s)
     yield replace(gap, start_s=ready_s)
@@ -147,7 +150,7 @@ def _work(robot: str, number: int, line: Line, end_s: float) -> Iterator[Span]:
 
 
 def _turns(span: Span, lines: Sequence[Line]) -> Iterator[Span]:
-    """Yield the parts of a gap in which it was another robot's turn, and the rest."""
+    """Yield the parts of a gap: turns of other robots, and the rest."""
     if span.cause is not Cause.THINKING:
         yield span
         return
@@ -176,14 +179,14 @@ def gantt_svg(
     axis_s: float = 0.0,
     todo: Sequence[SubTask] | None = (),
 ) -> str:
-    """Return the chart; empty where no sub-task is known.
+    """Return the chart as SVG; an empty string without sub-tasks.
 
     Args:
         instance: The problem.
         lines: The sub-tasks.
         until_s: As for :func:`spans_of` [s].
-        now_s: Place of the cursor [s]; at the beginning if None.
-        axis_s: Length of the axis, if it is longer than that [s].
+        now_s: Position of the cursor [s]; at the beginning if None.
+        axis_s: Length of the axis [s], if it is longer than ``until_s``.
         todo: As for :func:`spans_of`.
     """
     if until_s <= 0.0 or not any(line.subtask for line in lines):
@@ -220,13 +223,13 @@ def gantt_svg(
 
 
 def gantt_of(recording: Recording) -> str:
-    """Return the chart of a whole episode; empty where no sub-task is known."""
+    """Return the chart of a whole episode; an empty string without sub-tasks."""
     return gantt_svg(recording.instance, recording.lines, recording.elapsed_s)
 
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """From simulated time to a place along the chart."""
+    """Converts simulated time to a position along the chart."""
 
     until_s: float
 
@@ -283,7 +286,7 @@ def _bar(scale: _Scale, span: Span, y: float, ink: str, lines: Sequence[Line]) -
 
 
 def _text_ink(ink: str) -> str:
-    """Return black or white, whichever can be read on a color."""
+    """Return black or white, whichever is legible on a color."""
     red, green, blue = (int(ink[k : k + 2], 16) for k in (1, 3, 5))
     return "#181c22" if 0.3 * red + 0.59 * green + 0.11 * blue > 150.0 else "#ffffff"
 
@@ -297,7 +300,7 @@ def _axis(scale: _Scale, low: float) -> Iterator[str]:
             return
         at = scale.at(seconds)
         last = seconds + step > scale.until_s
-        # Pages cut off what stands out of the chart.
+        # Pages crop the chart at its edges.
         anchor = "end" if scale.share(seconds) > _NEAR_END else "middle"
         yield (
             f'<line x1="{at}" x2="{at}" y1="{_TOP_PX}" y2="{low}" '
@@ -308,7 +311,7 @@ def _axis(scale: _Scale, low: float) -> Iterator[str]:
 
 
 def _legend(causes: Sequence[Cause], y: float) -> tuple[str, float]:
-    """Return what the colors of gaps mean, in columns, and where it ends [px]."""
+    """Return the legend of the gaps' colors, in columns, and its lower end [px]."""
     gaps = [cause for cause in causes if cause is not Cause.BUSY]
     parts = []
     for number, cause in enumerate(gaps):
@@ -333,15 +336,15 @@ _FILLS = {
 }
 _EDGE, _BAD = "#8a8f98", "#d64545"
 _LEAST_S = 1e-6
-"""Shorter spans are not there [s]."""
+"""Shorter spans are left out [s]."""
 _TOP_PX, _ROW_PX, _BAR_PX, _GAP_PX, _AXIS_PX, _LEGEND_PX = 4, 22, 16, 6, 20, 16
 _LABELS, _PLOT = 17, 82
-"""Parts of the width for the names of robots, and for their rows [%]."""
+"""Widths of the robots' names and of their rows [% of the chart]."""
 _LEAST_NUMBERED = 4.5
-"""Part of the rows from which a bar has room for its number [%]."""
+"""Least width of a bar with a number [% of the rows]."""
 _LEAST_EXPLAINED = 0.5
-"""Part of the rows from which a gap can be seen, and its color is explained [%]."""
+"""Least width of a gap whose color is in the legend [% of the rows]."""
 _NEAR_END = 96.0
-"""Part of the rows from which the number of a time is not centered [%]."""
+"""Position from which the number of a time is right-aligned [% of the rows]."""
 _COLUMNS, _MOST_TICKS = 3, 6
 _STEPS_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)

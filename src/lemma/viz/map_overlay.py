@@ -34,7 +34,7 @@ _SHARED_TINT = np.array([255, 238, 170], dtype=np.float64)
 
 
 def camera_images(scene: Scene) -> list[CameraImage]:
-    """Return what the cameras of all robots see, for :func:`annotated_map`.
+    """Return the images of all robots' cameras, for :func:`annotated_map`.
 
     Raises:
         RenderingError: OpenGL does not work here.
@@ -61,13 +61,13 @@ def annotated_map(
 ) -> Image.Image:
     """Return the map of a scene with reach, names and goal drawn on it.
 
-    Where a robot surely works is bounded by a solid circle, what it could touch at most
-    by a dashed one.
+    A solid circle bounds the region in which a robot can surely work, a dashed one the
+    region that it could touch at most.
 
     Args:
-        instance: Of the scene.
-        scene: Its scene, in the state to draw.
-        images: Of its cameras.
+        instance: The instance of the scene.
+        scene: The scene, in the state to draw.
+        images: Images of its cameras, from :func:`camera_images`.
         width: Width of the picture [px]; its height follows.
     """
     scale = width / RASTER.columns
@@ -79,7 +79,7 @@ def annotated_map(
     for placed in instance.scene.robots:
         reach, could = reach_of(placed.arm), could_of(placed.arm)
         centre = pixel_of(placed.base.x, placed.base.y, width)
-        # A dark edge, because white would not be seen on what is pale.
+        # A dark edge makes white visible on pale ground.
         for ink, width_px in ((INK, 0.30), (ROBOT_INK[placed.color], 0.18)):
             thick = width_px * size
             canvas.circle(
@@ -92,7 +92,7 @@ def annotated_map(
 
 
 def _shade(fused: MapImage, instance: Instance) -> NDArray[np.uint8]:
-    """Tint where two robots work, or more; pale where no camera sees anything."""
+    """Tint where two or more robots reach; areas that no camera sees are pale."""
     x = np.array([RASTER.world_from_pixel(0, c)[0] for c in range(RASTER.columns)])
     y = np.array([RASTER.world_from_pixel(r, 0)[1] for r in range(RASTER.rows)])
     at_work = np.zeros((RASTER.rows, RASTER.columns), np.int64)
@@ -146,7 +146,7 @@ def _around(point: Point, radius: float) -> Box:
 
 
 def _shorten(start: Point, end: Point, gap: float) -> tuple[Point, Point]:
-    """Move both ends of an arrow towards each other, so that they hide nothing."""
+    """Shorten an arrow at both ends, so that it hides no object."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     length = math.hypot(dx, dy)
     share = min(gap / length, 0.3) if length else 0.0

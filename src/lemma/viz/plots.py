@@ -1,10 +1,9 @@
-"""Plots for pages and papers: matplotlib's SVG, with text as text.
+"""Plots for pages and papers: SVG from matplotlib, with selectable text.
 
-Series differ by color and by marker, parts of bars by color and by hatching, so that
-nothing depends on colors, which are those of Okabe and Ito. Each color is written as
+Series differ by color and marker, parts of bars by color and hatching, so plots are
+legible without color. The colors are those of Okabe and Ito. Each is written as
 ``var(--name, #color)``: a page may set others for a dark background, and
-:func:`standalone` leaves the plain color. A mark shows its numbers when the mouse
-points at it.
+:func:`standalone` leaves the plain color. A mark shows its numbers as a tooltip.
 """
 
 import io
@@ -48,7 +47,7 @@ _BESIDE: dict[str, Any] = {
     "va": "center",
     "color": FAINT,
 }
-"""Place of a note: right of the axes."""
+"""Position of a note: right of the axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +62,12 @@ class Mark:
     words: str
     """Its tooltip."""
     reference: float | None = None
-    """Another value to compare it with, if any."""
+    """Another value to compare it with; None without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Values of one policy, one for each category; None where there is none."""
+    """Values of one policy, one per category; None for a missing value."""
 
     name: str
     marks: tuple[Mark | None, ...]
@@ -80,36 +79,36 @@ class Bar:
 
     label: str
     note: str
-    """At its end."""
+    """Text at its end."""
     parts: tuple[float, ...]
-    """Lengths, in shares of the whole."""
+    """Lengths of the parts, as shares of 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot, ready to stand in a page or in a file."""
+    """A plot for a page or a file."""
 
     name: str
-    """Of its file."""
+    """Name of its file, without ending."""
     title: str
     caption: str
     svg: str
 
 
 def standalone(svg: str) -> str:
-    """Return a plot as the content of a file: plain colors, no style sheet needed."""
+    """Return a plot as the content of a file, with plain colors and no style sheet."""
     return _VARIABLE.sub(r"\1", svg) + "\n"
 
 
 def dots(categories: Sequence[str], series: Sequence[Series], axis: str) -> str:
-    """Return values with whiskers: categories from top to bottom, a lane per series.
+    """Return a dot plot with whiskers: categories are rows with a lane per series.
 
-    A thin line across a lane shows the value to compare with.
+    A thin line across a lane shows :attr:`Mark.reference`.
 
     Args:
         categories: Names of the rows.
         series: At least one.
-        axis: Meaning of the values.
+        axis: Label of the axis of values.
     """
     row = _LANE * max(len(series), 2) + 10
 
@@ -134,12 +133,12 @@ def dots(categories: Sequence[str], series: Sequence[Series], axis: str) -> str:
 def lines(
     categories: Sequence[str], series: Sequence[Series], axes_words: tuple[str, str]
 ) -> str:
-    """Return values with whiskers, joined by lines: categories from left to right.
+    """Return a line plot with whiskers: categories from left to right.
 
     Args:
         categories: Names along the horizontal axis.
         series: At least one.
-        axes_words: Meaning of the categories and of the values.
+        axes_words: Labels of the axes of categories and of values.
     """
     apart = min(0.02, 0.7 / len(series) / max(len(categories), 1))
 
@@ -160,12 +159,12 @@ def lines(
 
 
 def stacks(parts: Sequence[str], bars: Sequence[Bar], axis: str) -> str:
-    """Return bars divided into parts that differ by color and by hatching.
+    """Return stacked bars; parts differ by color and hatching.
 
     Args:
         parts: Names of the parts.
-        bars: From top to bottom.
-        axis: Meaning of the length of a part.
+        bars: Bars from top to bottom.
+        axis: Label of the axis of lengths.
     """
     used = [k for k in range(len(parts)) if any(bar.parts[k] for bar in bars)]
     most = max((sum(bar.parts) for bar in bars), default=0.0)
@@ -202,7 +201,7 @@ def _filling(number: int) -> dict[str, Any]:
 
 
 def _marker(number: int) -> dict[str, Any]:
-    """Return the mark of a series: filled, then hollow."""
+    """Return the marker of a series: first filled ones, then hollow ones."""
     hollow = number // len(_MARKERS) % 2 == 1
     return {
         "marker": _MARKERS[number % len(_MARKERS)],
@@ -227,13 +226,13 @@ def _draw_marks(
     """Draw the marks of a series, each on a line from its lower to its upper end.
 
     Args:
-        axes: To draw into.
-        tips: Tooltips are added.
-        number: Of the series, which decides how its marks look.
+        axes: Axes to draw into.
+        tips: List of tooltips; those of the marks are appended.
+        number: Index of the series, which selects color and marker.
         series: The values.
-        categories: Their names.
-        shift: Of the marks beside the middle of each category.
-        upright: Whether values rise upwards; else they go to the right.
+        categories: Names of the categories.
+        shift: Offset of the marks from the middle of each category.
+        upright: Whether the axis of values is vertical.
     """
     for j, mark in enumerate(series.marks):
         if mark is None:
@@ -246,7 +245,7 @@ def _draw_marks(
 
 
 def _tip(tips: list[str], words: str) -> str:
-    """Keep the tooltip of a shape, and return the name of the shape."""
+    """Append the tooltip of a shape, and return the name of the shape."""
     tips.append(words)
     return f"tip-{len(tips) - 1}"
 
@@ -260,10 +259,10 @@ def _plot(
     """Return a plot as SVG.
 
     Args:
-        draw: Draws into axes, and lists tooltips.
-        height: Of all but the legend [px].
-        title: For screen readers.
-        series: Names in the legend, if any: of what is labelled, or of markers.
+        draw: Function that draws into axes and appends tooltips.
+        height: Height without the legend [px].
+        title: Title for screen readers.
+        series: Names in the legend; of the labelled shapes or of markers.
     """
     tips: list[str] = []
     widths = [0.58 * _SIZE * len(name) + 40 for name in series]
@@ -271,7 +270,7 @@ def _plot(
     columns = max(len(series), 1) if sum(widths) < WIDTH else columns
     height += 22 * math.ceil(len(series) / columns)
     with rc_context(fname=_STYLE):
-        # One point of a figure is one pixel of its SVG.
+        # At 72 per inch, one point of the figure is one pixel of its SVG.
         drawing = Drawing(figsize=(WIDTH / 72, height / 72), layout="constrained")
         drawing.patch.set_visible(False)
         axes = drawing.add_subplot()
@@ -288,7 +287,7 @@ def _plot(
 
 
 def _finished(text: str, title: str, tips: Sequence[str]) -> str:
-    """Return SVG for a page: titles instead of names, and variables for colors."""
+    """Return SVG for a page: tooltips instead of names, and variables for colors."""
     ElementTree.register_namespace("", _SVG)
     ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
     root = ElementTree.fromstring(text)

@@ -1,4 +1,4 @@
-"""Recordings of episodes: states at equal times, and the sub-tasks in words."""
+"""Recordings of episodes: states at equal intervals, and sub-tasks as text."""
 
 import time
 from bisect import bisect_right
@@ -16,6 +16,7 @@ from lemma.expert.expert import ExpertStep
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import SkillResult
 from lemma.policies.spec import PolicySpec
+from lemma.robots.hand import STANDARD
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import phrase, robot_phrases, sub_instruction
@@ -23,18 +24,18 @@ from lemma.tasks.subtask import SubTask
 from lemma.viz.team_watch import TeamWatch
 
 FRAME_S = 0.05
-"""Simulated time from one state to the next where nothing else is asked for [s]."""
+"""Default simulated time from one state to the next [s]."""
 SOLVED = "Solved."
 VERDICTS = ("understood", "allocated", "executed")
 """Verdicts on the first object that was moved; see :mod:`lemma.env.stages`."""
 
 Frames = Sequence[tuple[float, FloatArray]]
-"""Simulated time [s] and positions of all joints, (nq,), in order."""
+"""Simulated time [s] and MuJoCo's joint positions, (nq,), in order of time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One sub-task, or another thing that happened, in words."""
+    """One sub-task or another event, as text."""
 
     words: str
     """Such as ``"red robot: hook the blue cube ..."``."""
@@ -46,24 +47,24 @@ class Line:
     explanation: str = ""
     ok: bool = True
     subtask: SubTask | None = None
-    """None where it is no sub-task."""
+    """None for another event."""
     waits: tuple[tuple[float, float], ...] = ()
-    """Simulated times from and to which its robot waited for a region [s]."""
+    """Begin and end of the times in which its robot waited for a region [s]."""
     effect_s: float | None = None
-    """Simulated time from which on others could build on it [s]; None where that is not
-    known, which is no later than its end."""
+    """Simulated time from which other sub-tasks could use its result [s], at the latest
+    its end; None if unknown."""
 
     @property
     def duration_s(self) -> float:
-        """Simulated time that it took [s]; 0 while it runs."""
+        """Its simulated duration [s]; 0 while it runs."""
         return 0.0 if self.end_s is None else self.end_s - self.start_s
 
     def watched(self, watch: TeamWatch, now_s: float) -> "Line":
-        """Return the same with what a watch has noted about its robot.
+        """Return a copy with waits and effect, from a watch.
 
         Args:
-            watch: Of its simulation.
-            now_s: The present simulated time [s], for a line that runs.
+            watch: The watch of its simulation.
+            now_s: The present simulated time [s], for a sub-task that still runs.
         """
         if self.subtask is None:
             return self
@@ -87,33 +88,33 @@ class Recording:
     """An episode of a policy, or by hand."""
 
     title: str
-    """The policy in words."""
+    """Title of the policy."""
     instance: Instance
     lines: tuple[Line, ...]
     """Its sub-tasks, in order."""
     frames: Frames
-    """States, the first one at 0 s; empty where none were kept."""
+    """States, the first one at 0 s; empty if none were recorded."""
     success: bool
     failure: str | None
-    """Why it failed; None if it did not."""
+    """Reason of the failure; None after success."""
     elapsed_s: float
     """Simulated time [s]."""
     wall_s: float = 0.0
-    """Real time of simulating and planning [s]; 0 where it was not measured."""
+    """Real time of simulation and planning [s]; 0 if it was not measured."""
     because: str = ""
-    """Why it failed, in a sentence, where more is known than :attr:`failure`."""
+    """Reason of the failure as a sentence, if more than :attr:`failure` is known."""
     stages: Mapping[str, Any] = field(default_factory=dict)
-    """How far it came, as in lines of results; empty where nobody looked."""
+    """Its stages, as in lines of results; empty if they were not computed."""
 
     @classmethod
     def of(
         cls, title: str, episode: Episode, lines: Sequence[Line], frames: Frames
     ) -> "Recording":
-        """Return an episode that was carried out.
+        """Return the recording of an episode that is over.
 
         Args:
-            title: The policy in words.
-            episode: At its end.
+            title: Title of the policy.
+            episode: The episode, at its end.
             lines: Its sub-tasks, in order.
             frames: Its states.
         """
@@ -130,7 +131,7 @@ class Recording:
 
     @property
     def verdict(self) -> str:
-        """How it ended, in a sentence."""
+        """The result, as a sentence."""
         why = (self.failure or "goal_not_reached").replace("_", " ")
         return SOLVED if self.success else self.because or f"Not solved: {why}."
 
@@ -140,12 +141,15 @@ class Recording:
         return self.elapsed_s / self.wall_s
 
     def at(self, time_s: float) -> FloatArray:
-        """Return positions of all joints at a time, the first or last outside."""
+        """Return the joint positions, (nq,), at a simulated time [s].
+
+        Before the first and after the last frame, they are those of that frame.
+        """
         found = bisect_right(self.frames, time_s + 1e-6, key=lambda frame: frame[0])
         return self.frames[max(0, found - 1)][1]
 
     def thinned(self, every: int) -> "Recording":
-        """Return the same with one frame of so many, and the last."""
+        """Return a copy with one in ``every`` frames, and the last."""
         kept = [*self.frames[:-1:every], self.frames[-1]]
         return replace(self, frames=kept)
 
@@ -173,12 +177,12 @@ def record(
     on_step: Callable[[Line], None] | None = None,
     horizon_s: float = HORIZON_S,
 ) -> Recording:
-    """Let a policy work on an instance.
+    """Play an instance with a policy, and record it.
 
     Args:
         instance: The problem.
         player: The policy; the expert if None.
-        title: The policy in words.
+        title: Title of the policy.
         frame_s: Simulated time from one frame to the next [s]; no frames if None.
         on_step: Called with every sub-task as soon as it has ended.
         horizon_s: Simulated time after which the episode ends [s].
@@ -210,11 +214,11 @@ def record_together(
     on_step: Callable[[Line], None] | None = None,
     horizon_s: float = HORIZON_S,
 ) -> Recording:
-    """Let the expert work on an instance with all robots at the same time.
+    """Play an instance with the expert and all robots at the same time; record it.
 
     Args:
         instance: The problem.
-        title: The policy in words.
+        title: Title of the policy.
         frame_s: Simulated time from one frame to the next [s]; no frames if None.
         on_step: Called with every sub-task as soon as it has ended.
         horizon_s: Simulated time after which the episode ends [s].
@@ -237,7 +241,7 @@ def record_together(
 
 
 def reached_words(stages: Mapping[str, Any]) -> str:
-    """Return how far an episode came: ``"60% of the stages; furthest: lifted, ..."``.
+    """Return an episode's progress: ``"60% of the stages; furthest: lifted, ..."``.
 
     Args:
         stages: As in lines of results; see :mod:`lemma.env.stages`.
@@ -252,7 +256,7 @@ def reached_words(stages: Mapping[str, Any]) -> str:
 
 
 def judged(stages: Mapping[str, Any]) -> dict[str, str]:
-    """Return the three verdicts on the first object that was moved, in words.
+    """Return the three verdicts on the first moved object, as text, by name.
 
     Args:
         stages: As in lines of results; see :mod:`lemma.env.stages`.
@@ -262,10 +266,10 @@ def judged(stages: Mapping[str, Any]) -> dict[str, str]:
 
 
 def trained_words(weights: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a sentence where weights were trained on another version; mostly none.
+    """Return a sentence if weights were trained on another version, else ``""``.
 
     Args:
-        weights: By name of the model, as in ``about.json``.
+        weights: Facts about weights by name of the model, as in ``about.json``.
     """
     older = older_versions(weights, BENCHMARK_VERSION)
     if not older:
@@ -278,19 +282,19 @@ def trained_words(weights: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def pose(scene: Scene, qpos: FloatArray) -> None:
-    """Put the bodies of a scene where joint positions, (nq,), have them."""
+    """Set the joint positions, (nq,), of a scene and update its bodies' poses."""
     scene.data.qpos[:] = qpos
     scene.refresh()
 
 
 def main_sentence(instance: Instance) -> str:
-    """Return the sentence by which an instance is named; an own one may have none."""
+    """Return the sentence that names an instance; user-defined ones may have none."""
     sentences = instance.instructions
     return sentences.get("high_level") or next(iter(sentences.values()), "")
 
 
 def describe_step(step: StepRecord | ExpertStep, instance: Instance) -> Line:
-    """Put an executed sub-task into words."""
+    """Return the line of an executed sub-task."""
     words = describe_subtask(step.subtask, instance)
     return line_of(words, step.start_s, step.result, step.subtask)
 
@@ -298,16 +302,23 @@ def describe_step(step: StepRecord | ExpertStep, instance: Instance) -> Line:
 def line_of(
     words: str, start_s: float, result: SkillResult, subtask: SubTask | None = None
 ) -> Line:
-    """Return a line of a sub-task in words that began at a time [s]."""
+    """Return the line of a finished sub-task.
+
+    Args:
+        words: Its description.
+        start_s: Simulated time at which it began [s].
+        result: Its result.
+        subtask: The sub-task; None for another event.
+    """
     end_s, outcome = start_s + result.duration_s, str(result.outcome)
     return Line(words, start_s, end_s, outcome, result.explanation, result.ok, subtask)
 
 
 def describe_subtask(subtask: SubTask, instance: Instance) -> str:
-    """Put a sub-task into words: ``"red robot: hook the blue cube ..."``."""
+    """Return the text of a sub-task: ``"red robot: hook the blue cube ..."``."""
     number = instance.scene.robot_names.index(subtask.robot)
     robot = robot_phrases(instance.scene.robots)[number]
-    # A model that acts from end to end names no objects.
+    # End-to-end models give poses without names of objects.
     if subtask.pick and subtask.place:
         words = sub_instruction(robot, subtask.primitive, subtask.pick, subtask.place)
         return name_region(words, subtask.place, instance)
@@ -315,12 +326,15 @@ def describe_subtask(subtask: SubTask, instance: Instance) -> str:
 
 
 def name_region(words: str, place: str, instance: Instance) -> str:
-    """Say whose region a place is by colors: people see no numbers of robots.
+    """Replace a region's name by the colors of its robots, whose numbers are not shown.
 
     Args:
-        words: A sub-task in words.
-        place: Where it goes; other places stay as they are.
-        instance: Of the robots.
+        words: Text of a sub-task.
+        place: Its place; the text stays as it is unless this is a region.
+        instance: The instance, with its robots.
+
+    Returns:
+        The text.
     """
     scene = instance.scene
     members = scene.regions.get(place, ())
@@ -335,7 +349,8 @@ def name_region(words: str, place: str, instance: Instance) -> str:
 def robot_titles(instance: Instance) -> dict[str, str]:
     """Return color and arm type of every robot, by name: ``"red UR5"``.
 
-    Where two are alike, it is also said which one: ``"left red UR5"``.
+    Robots of the same color and type also have a side: ``"left red UR5"``. Hands
+    other than the standard one are named: ``"red UR5, weak hand"``.
     """
     scene = instance.scene
     kinds = [(robot.color, robot.arm) for robot in scene.robots]
@@ -345,4 +360,6 @@ def robot_titles(instance: Instance) -> dict[str, str]:
         color, arm = kind
         words = color if kinds.count(kind) == 1 else said.removesuffix(" robot")
         titles[name] = f"{words} {arm.upper()}"
+    for name, hand in zip(titles, scene.other_hands, strict=False):
+        titles[name] += "" if hand == STANDARD else f", {hand} hand"
     return titles

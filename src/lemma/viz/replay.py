@@ -1,4 +1,4 @@
-"""Episodes played again, to the bit, and the expert's solution of those that failed."""
+"""Bit-exact replays of episodes, and the expert's solutions of failed ones."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -44,11 +44,11 @@ class Replayed:
 
     recording: Recording
     differs: str
-    """Its first difference from the line, in a sentence; ``""`` if there is none."""
+    """Its first difference from the line, as a sentence; ``""`` if there is none."""
     turn: EpisodeSnapshot
-    """The episode before the sub-task that decided it, see :func:`turn_of`."""
+    """The episode before its decisive sub-task, see :func:`turn_of`."""
     turn_s: float
-    """Simulated time of that [s]."""
+    """Simulated time of :attr:`turn` [s]."""
 
 
 def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording:
@@ -56,7 +56,7 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
 
     Args:
         found: The attack's record; it must have succeeded.
-        instance: That was attacked.
+        instance: The attacked instance.
         frame_s: Simulated time from one frame to the next [s].
 
     Raises:
@@ -139,10 +139,10 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
 
 
 def turn_of(case: Case) -> int:
-    """Return before which sub-task the expert takes over, from 0.
+    """Return the index of the sub-task before which the expert takes over.
 
-    At the mistake; where none was one, but there was work left, at the end, and where
-    the time was over, at the beginning.
+    This is the first mistake. Without a mistake it is the end of the episode if the
+    policy stopped early, and 0 if time ran out.
     """
     if case.mistake is not None:
         return case.mistake
@@ -159,7 +159,8 @@ def replay_line(
 
     Args:
         case: An episode that can be repeated.
-        watch: Called with the episode before each sub-task, and again at the end.
+        watch: Called with the episode and the index of the sub-task before each
+            sub-task, and once more at the end.
         frame_s: Simulated time from one frame to the next [s].
     """
     row, turn = case.row, turn_of(case)
@@ -171,9 +172,9 @@ def replay_line(
         if not takers:
             takers.append(FrameTaker(episode.simulation, frame_s))
             watches.append(TeamWatch(episode.simulation))
-        # An episode that goes differently here may end before the turn.
+        # A replay that differs may end before the turn.
         if number <= turn or not turns:
-            # The expert goes on even where the policy stopped.
+            # The expert also continues after the policy's `stop`.
             now = replace(episode.snapshot(), stopped=False, ended_s=None, verdict=None)
             turns.append((now, episode.simulation.time_s))
         watch(episode, number)
@@ -206,14 +207,14 @@ def replay_line(
 
 
 def expert_instead(case: Case, again: Replayed) -> Recording:
-    """Let the expert go on from where an episode went wrong.
+    """Let the expert continue from an episode's decisive sub-task.
 
-    Where robots acted together, those at work finish what they do; then the expert
-    lets all of them work.
+    If robots acted at the same time, running sub-tasks are finished first; then the
+    expert acts with all robots.
 
     Args:
         case: The episode.
-        again: The same, played again.
+        again: Its replay.
     """
     episode = Episode(case.instance, horizon_s=case.about["horizon_s"])
     episode.restore(again.turn)
@@ -236,22 +237,22 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
     found = Recording.of(title, episode, lines, taker.frames)
     if len(lines) == kept and not found.success:
-        return replace(found, because="The expert knows no way from there.")
+        return replace(found, because="The expert finds no plan from there.")
     return found
 
 
 def _finish(episode: Episode, begun: Sequence[Line]) -> Iterator[Line]:
-    """Let robots at work finish, and yield lines of what they did.
+    """Finish all running sub-tasks, and yield their lines.
 
     Args:
-        episode: It goes on until no robot is at work.
-        begun: Lines of the same sub-tasks, as they went on before.
+        episode: The episode; it advances until no sub-task runs.
+        begun: Lines of the same sub-tasks in the original episode.
     """
     while episode.simulation.busy:
         for done in episode.advance():
             robot, start_s = done.grounded.robot, done.start_s
             for line in begun:
                 mine = line.subtask is not None and line.subtask.robot == robot
-                # Lines hold milliseconds.
+                # Times in lines are rounded to milliseconds.
                 if mine and abs(line.start_s - start_s) < TICK_S:
                     yield line_of(line.words, start_s, done.result, line.subtask)

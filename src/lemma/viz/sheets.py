@@ -72,7 +72,7 @@ def check_picture_path(path: Path) -> None:
 
 
 def save_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture in the format that the ending of its name says.
+    """Write a picture in the format of its name's ending.
 
     Raises:
         DatasetError: It cannot be written there.
@@ -85,7 +85,7 @@ def instance_sheet(instance: Instance) -> Image.Image:
     """Return cameras, depth, map, reach, goal and instructions of an instance.
 
     Args:
-        instance: The problem; it is drawn in its first state.
+        instance: The problem; its initial state is drawn.
 
     Raises:
         RenderingError: OpenGL does not work here.
@@ -153,7 +153,7 @@ def _camera_pictures(
 ) -> list[tuple[Image.Image, str]]:
     """Return color and depth of every camera, with titles.
 
-    One scale for all depths: what lies on the table uses most colors.
+    All depth images have one scale; objects on the table use most of its colors.
     """
     depths = np.concatenate([seen.depth_m[seen.depth_m > 0.0] for seen in images])
     low, high = np.percentile(depths, (2.0, 95.0))
@@ -170,9 +170,9 @@ def depth_picture(depth_m: DepthImage, low_m: float, high_m: float) -> Image.Ima
     """Return a depth image in false colors, with a scale in metres below it.
 
     Args:
-        depth_m: Distances, shape (H, W) [m]; 0 where nothing was seen.
-        low_m: Drawn brightest, as is all that is nearer [m].
-        high_m: Drawn darkest, as is all that is farther [m].
+        depth_m: Distances, shape (H, W) [m]; 0 for no measurement.
+        low_m: Distance of the brightest color [m]; smaller ones have the same.
+        high_m: Distance of the darkest color [m]; larger ones have the same.
     """
     height, width = depth_m.shape
     rgb = np.full((height + 58, width, 3), PAPER[0], np.uint8)
@@ -190,10 +190,10 @@ def depth_picture(depth_m: DepthImage, low_m: float, high_m: float) -> Image.Ima
 
 
 def keyframe_strip(record: EpisodeRecord) -> Image.Image:
-    """Return the keyframes of an episode, each with the sub-task that follows.
+    """Return the keyframes of an episode, each with the next sub-task.
 
     Args:
-        record: The episode; its states are drawn, nothing is simulated.
+        record: The episode; its recorded states are drawn without simulation.
 
     Raises:
         RenderingError: OpenGL does not work here.

@@ -1,7 +1,8 @@
-"""Notes, taken while a simulation goes on, of what a line alone does not say.
+"""Waits for regions and effects of sub-tasks, observed during a simulation.
 
-A line of a sub-task says when it began and ended. Why its robot stood still meanwhile,
-and from when on others could build on it, is known to the reservations alone.
+A line of a sub-task has its begin and end. The times at which its robot waited for a
+region, and from which other sub-tasks could use its result, come from the simulation's
+reservations.
 """
 
 from dataclasses import dataclass, field
@@ -11,18 +12,18 @@ from lemma.env.simulation import TICK_S, Simulation
 
 @dataclass(slots=True)
 class _Notes:
-    """Waits and ways home of one robot, in order."""
+    """Waits and returns home of one robot, in order."""
 
     waits: list[tuple[float, float]] = field(default_factory=list)
-    """Simulated times from and to which it waited for a region [s]; the last one may
-    go on."""
+    """Begin and end of its waits for a region, in simulated time [s]; the last one may
+    still continue."""
     turned_home_s: list[float] = field(default_factory=list)
-    """When it had no more work in a sub-task and went home [s]."""
+    """Simulated times at which it finished a sub-task's work and went home [s]."""
     went_home: bool = False
 
 
 class TeamWatch:
-    """Watches the robots of a simulation; it changes nothing."""
+    """Observes the robots of a simulation without changing it."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Watch a simulation from now on."""
@@ -47,12 +48,12 @@ class TeamWatch:
     def waits(
         self, robot: str, start_s: float, end_s: float
     ) -> tuple[tuple[float, float], ...]:
-        """Return from when to when a robot waited for a region [s].
+        """Return begin and end of a robot's waits for a region, in simulated time [s].
 
         Args:
             robot: Its name.
-            start_s: Beginning of its sub-task [s].
-            end_s: Its end, or the present [s].
+            start_s: Begin of its sub-task [s].
+            end_s: End of the sub-task, or the present [s].
         """
         return tuple(
             (max(since_s, start_s), min(until_s, end_s))
@@ -61,15 +62,15 @@ class TeamWatch:
         )
 
     def effect_s(self, robot: str, start_s: float, end_s: float) -> float | None:
-        """Return when a sub-task had its effect [s]: its robot let go and went home.
+        """Return the simulated time at which a sub-task's robot turned home.
 
         Args:
             robot: Its name.
-            start_s: Beginning of the sub-task [s].
-            end_s: Its end, or the present [s].
+            start_s: Begin of the sub-task [s].
+            end_s: End of the sub-task, or the present [s].
 
         Returns:
-            None where it did not, as far as is known.
+            The time [s]; None if the robot was not seen to turn home.
         """
         times = tuple(self._notes[robot].turned_home_s)
         found = [t for t in times if start_s < t <= end_s + 0.5 * TICK_S]

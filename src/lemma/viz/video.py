@@ -1,4 +1,4 @@
-"""From a recording to an H.264 video that every browser plays, with a caption."""
+"""H.264 videos of recordings, with a caption, for every browser."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,13 @@ from lemma.viz.recording import Recording, main_sentence, pose
 _INK: Color = (246, 247, 249)
 _FAINT: Color = (160, 170, 182)
 _WAITS: Color = (139, 79, 198)
-"""Of a robot that waits for a region, as in charts."""
+"""Color of a robot that waits for a region, as in Gantt charts."""
 _GROUND: Color = (24, 28, 34)
 _VIEWED_FRAMES = 40
-"""Frames that the viewpoint is fitted to; the arms move little in between."""
+"""Number of frames for which the viewpoint is computed."""
 
 
-# As "video", but for small pictures: coarser shadows take a third off the time.
+# Like "video", but for small pictures: coarser shadows save a third of the time.
 QUALITIES.add(
     "clip",
     Quality(
@@ -39,17 +39,17 @@ class VideoStyle:
     """Size and pace of a video."""
 
     width_px: int = 704
-    """Width of the picture [px]; even, as H.264 wants it."""
+    """Width of the picture [px]; H.264 needs an even number."""
     height_px: int = 396
-    """Height of what is rendered; the caption comes above [px]."""
+    """Height of the rendered picture, without the caption above it [px]."""
     caption_px: int = 72
     """Height of the caption [px]."""
     frames_per_s: int = 25
     """Frames per second of the video."""
     speed: int = 4
-    """Simulated seconds per second of the video; the caption says it."""
+    """Simulated seconds per second of the video, shown in the caption."""
     last_s: float = 1.2
-    """How long the last picture stays [s]."""
+    """Duration of the last picture [s]."""
     quality: str = "clip"
     """A name in :data:`lemma.scene.rendering.renderer.QUALITIES`."""
 
@@ -63,7 +63,7 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
     """Render a recording and encode it.
 
     Args:
-        recording: The episode, with frames every ``style.frame_s``.
+        recording: The episode, with a frame every ``style.frame_s``.
         path: The MP4 file.
         style: Size and pace.
 
@@ -81,7 +81,7 @@ def write_video(recording: Recording, path: Path, style: VideoStyle) -> Image.Im
 
 def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
     """Render a recording and encode it as MP4; return the last frame."""
-    # The encoder is optional, and only videos need it.
+    # Import late: the encoder is optional.
     import av  # noqa: PLC0415
 
     scene = Scene(recording.instance.scene)
@@ -105,7 +105,7 @@ def _encode(recording: Recording, path: Path, style: VideoStyle) -> Image.Image:
             pose(scene, qpos)
             picture = renderer.rgb(scene.model, scene.data, camera)
             ended = number == len(frames) - 1
-            # Below, players' controls would cover the words.
+            # The caption is above: controls of players cover the lower edge.
             frame.paste(Image.fromarray(picture), (0, style.caption_px))
             size, note = (style.width_px, style.caption_px), f"{style.speed}x speed"
             strip = caption(recording, time_s, size, note, ended=ended)
@@ -128,14 +128,14 @@ def caption(
     *,
     ended: bool = False,
 ) -> Image.Image:
-    """Draw instruction, running sub-task and simulated time.
+    """Return a strip with instruction, running sub-task and simulated time.
 
     Args:
         recording: The episode.
         time_s: Simulated time of the picture [s].
         size: Width and height of the strip [px].
         note: A remark beside the time.
-        ended: Whether to say how it ended instead of the sub-task.
+        ended: Whether to show the result instead of the sub-task.
     """
     width, height = size
     strip = Image.new("RGB", size, _GROUND)
@@ -173,7 +173,7 @@ def _draw_rows(
     whole_s: float,
     size: tuple[int, int],
 ) -> int:
-    """Draw what each robot has done so far, a row for each; return their height."""
+    """Draw a row for each robot with its work so far; return the rows' height [px]."""
     scene, (width, height) = recording.instance.scene, size
     row = max(2, height // 20)
     rows = len(scene.robots) * (row + 1)
@@ -195,7 +195,7 @@ def _draw_rows(
 
 
 def _at_work(recording: Recording, time_s: float | None) -> int:
-    """Return how many robots are in sub-tasks at a time; the most of all if None."""
+    """Return the number of robots in sub-tasks at a time; the maximum if None."""
     lines = [line for line in recording.lines if line.subtask is not None]
     if time_s is None:
         starts = (line.start_s for line in lines)
@@ -208,7 +208,7 @@ def _at_work(recording: Recording, time_s: float | None) -> int:
 
 
 def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Color]:
-    """Return what happens at a time, in words, and the color to say it in."""
+    """Return the text of the state at a time, and its color."""
     lines = recording.lines
     if ended and recording.success:
         return "Solved.", GOOD
@@ -221,6 +221,6 @@ def _status(recording: Recording, time_s: float, ended: bool) -> tuple[str, Colo
         robots = _at_work(recording, time_s)
         many = "1 robot at work" if robots == 1 else f"{robots} robots at work"
         return f"{over} of {len(lines)} sub-tasks done   {many}", _FAINT
-    # The one that began last.
+    # Show the sub-task that began last.
     number = max(sum(line.start_s <= time_s for line in lines), 1)
     return f"{number}/{len(lines)}   {lines[number - 1].words}", _FAINT

@@ -1,1 +1,1 @@
-"""Thousands of tables at once on a GPU, by MuJoCo Warp, for learners."""
+"""Thousands of parallel worlds on a GPU with MuJoCo Warp, for learning."""

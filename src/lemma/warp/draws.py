@@ -1,7 +1,7 @@
-"""Random numbers that are hashed from counters on the device.
+"""Counter-based random numbers on the device.
 
-A CUDA graph replays the same kernels with the same arguments. Numbers that
-differ between replays have to be in memory: here, the count of draws.
+A CUDA graph replays the same kernels with the same arguments. Values that differ
+between replays must be in memory: here, the number of draws.
 """
 
 import torch
@@ -11,18 +11,25 @@ _32_BITS = 0xFFFFFFFF
 
 
 class Draws:
-    """Rows of uniform numbers, the same with and without a CUDA graph."""
+    """Rows of uniform random numbers, equal with and without a CUDA graph."""
 
     def __init__(self, worlds: int, columns: int, seed: int, device: str) -> None:
-        """Make memory on the device; ``draw`` returns (worlds, columns)."""
+        """Allocate the state on the device.
+
+        Args:
+            worlds: Number of rows of a draw.
+            columns: Numbers in each row.
+            seed: Seed.
+            device: Device, such as ``"cuda:0"``.
+        """
         self._places = torch.arange(worlds * columns, device=device)
         self._shape = (worlds, columns)
         self.state = torch.zeros(2, dtype=torch.int64, device=device)
-        """Seed, and how many draws there were."""
+        """Seed and number of draws."""
         self.seed(seed)
 
     def seed(self, seed: int) -> None:
-        """Begin anew."""
+        """Set the seed, and the number of draws to 0."""
         self.state[0] = seed & _32_BITS
         self.state[1] = 0
 
@@ -34,7 +41,7 @@ class Draws:
 
 
 def uniform(numbers: Tensor) -> Tensor:
-    """Return such numbers as fractions in [0, 1)."""
+    """Return whole numbers of :meth:`Draws.draw` as fractions in [0, 1)."""
     return (numbers >> 8).float() * 2.0**-24
 
 

@@ -1,7 +1,7 @@
-"""A control step of all tables, beside the physics, in torch.
+"""The control step of all worlds in torch, except the physics.
 
-Everything here can be recorded as a CUDA graph: memory stays where it is, shapes do not
-depend on data, nothing is read by the host, and indices are on the device.
+Everything here can be recorded as a CUDA graph: memory is allocated once, shapes do not
+depend on data, the host reads nothing, and indices are on the device.
 """
 
 from typing import Any
@@ -20,12 +20,12 @@ from lemma.warp.signals import Signals
 from lemma.warp.worlds import Worlds
 
 JOINT_STEP_RAD = 0.1
-"""A 1 in ``delta_joint``."""
+"""Joint step of the action 1 in ``delta_joint``."""
 _TOO_FAST = 1e3
 
 
 class Episodes(Worlds):
-    """Episodes on many tables: actions, signals, rewards, ends, new beginnings."""
+    """Episodes in many worlds: actions, signals, rewards, ends, resets."""
 
     control: str
     reward: str
@@ -40,7 +40,11 @@ class Episodes(Worlds):
     _horizon: int
 
     def _begin(self, fresh: Tensor) -> None:
-        """Set the tables of some worlds, (n,)."""
+        """Reset some worlds.
+
+        Args:
+            fresh: Mask of the worlds, (n,) bool.
+        """
         n = self.num_envs
         drawn = self.draws.draw()
         new = drawn[:, 0] % len(self.pool.instances)
@@ -81,7 +85,11 @@ class Episodes(Worlds):
     def _start(
         self, qpos: Tensor, base: Tensor, drawn: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return first states, some with a hand near the object, and asked openings."""
+        """Return initial states, some with a hand near the object.
+
+        Returns:
+            ``qpos``, (n, nq), and the commanded openings, (n, robots) [m].
+        """
         asked = torch.full_like(base[..., 0], FINGER_OPENING_M)
         if not self._near:
             return qpos, asked
@@ -109,7 +117,7 @@ class Episodes(Worlds):
         return found, torch.where(chosen, closed, asked)
 
     def _command(self) -> None:
-        """Set what motors are asked for by the actions in memory."""
+        """Set the motor targets from the actions in memory."""
         n, count = self.num_envs, len(self.robots)
         rows = self._action.view(n, count, -1)
         now = self._wanted.view(n, count, 6)
@@ -118,7 +126,7 @@ class Episodes(Worlds):
                 self.target, rows, self.here, self.base, self.arms, self._slow
             )
             found = joints(target, self.base, self.arms, now)
-            # A hand that is not asked to move stays as it is.
+            # A zero action keeps the joint targets.
             still = (rows[..., :4] == 0.0).all(-1, keepdim=True)
             now = torch.where(still, now, found)
             self.target.copy_(target)
@@ -142,13 +150,13 @@ class Episodes(Worlds):
         self.ctrl[:, self._at["grips"]] = grip
 
     def _led(self, wanted: Tensor) -> Tensor:
-        """Return joint angles in range, at most two steps ahead of the arms."""
+        """Return joint targets in range, at most two steps ahead of the arms [rad]."""
         here, leash = self.qpos[:, self.joint_at], LEASH_STEPS * JOINT_STEP_RAD
         near = torch.minimum(torch.maximum(wanted, here - leash), here + leash)
         return torch.minimum(torch.maximum(near, -self.joint_range), self.joint_range)
 
     def _judge(self) -> dict[str, Any]:
-        """Return what follows from the physics, after new beginnings where needed."""
+        """Return the results of a step: rewards, ends, resets and observations."""
         self._age += 1
         lost = self._drop_lost()
         self._place_hands()
@@ -178,9 +186,9 @@ class Episodes(Worlds):
         }
 
     def _drop_lost(self) -> Tensor:
-        """Put lost worlds where their episodes began, and count and return them, (n,).
+        """Restore the initial state of diverged worlds; count and return them, (n,).
 
-        They begin anew at the end of this step.
+        The step ends their episodes, and resets them.
         """
         lost = ~(self.qpos.isfinite().all(1) & self.qvel.isfinite().all(1))
         lost |= self.qvel.abs().amax(1) > _TOO_FAST
@@ -198,7 +206,7 @@ class Episodes(Worlds):
         if self.reward == "sparse":
             return won
         if self.reward == "rise":
-            # An end by a throw costs nothing but what could have been earned later.
+            # A throw ends the episode without a penalty.
             rise = torch.where(success, 1.0, after) - self.potential
             return won + torch.where(terminated & ~success, 0.0, rise)
         if self.reward == "level":
@@ -207,7 +215,7 @@ class Episodes(Worlds):
         return won + self.discount * ended - self.potential
 
     def _observe(self) -> dict[str, Tensor]:
-        """Return what is observed, each (n, numbers) in the order of the robots."""
+        """Return observations by name, (n, numbers) each, in the order of robots."""
         n, count = self.num_envs, len(self.robots)
         opening = self.opening
         goal = self.signals.goal_state(opening)
@@ -226,7 +234,7 @@ class Episodes(Worlds):
         }
 
     def _mutable(self) -> list[Tensor]:
-        """Return all memory that a control step changes."""
+        """Return all tensors that a control step changes."""
         return [
             *(self.qpos, self.qvel, self.ctrl, self._warm, self.angle, self.rate),
             *(self._wanted, self.hands, self.target, self.base, self.touch),

@@ -1,4 +1,4 @@
-"""Functions of fixed memory, recorded as CUDA graphs of torch or of Warp."""
+"""Functions on fixed memory, recorded as CUDA graphs of torch or of Warp."""
 
 import gc
 import warnings
@@ -12,19 +12,18 @@ _WARM_UPS = 3
 
 
 def recorded(work: Callable[[], Any], device: str) -> Callable[[], Any]:
-    """Record what a function launches on a GPU, and return what replays it.
+    """Record a function's kernels on a GPU, and return a function that replays them.
 
-    The function is called a few times, once of which is recorded: it reads and writes
-    the same memory at each call, reads nothing back to the host, and its results have
-    the same shapes. The results of a replay are overwritten by
-    the next one.
+    The function is called a few times for warm-up and once for the recording. Each call
+    must read and write the same memory, read nothing back to the host, and have results
+    of the same shapes. A replay overwrites the results of the last one.
 
     Args:
-        work: The function; tensors in what it returns are kept.
+        work: The function; it returns tensors, which are kept.
         device: Such as ``"cuda:0"``.
 
     Raises:
-        RuntimeError: Something in it cannot be recorded.
+        RuntimeError: The function cannot be recorded.
     """
     with torch.cuda.device(device):
         side: Any = torch.cuda.Stream()  # type: ignore[no-untyped-call]
@@ -36,7 +35,7 @@ def recorded(work: Callable[[], Any], device: str) -> Callable[[], Any]:
         torch.cuda.synchronize()
         graph = torch.cuda.CUDAGraph()
         collecting = gc.isenabled()
-        # Memory that is given back meanwhile would end the recording.
+        # Memory that is freed during the recording would end it.
         gc.collect()
         gc.disable()
         try:
@@ -57,28 +56,28 @@ def recorded(work: Callable[[], Any], device: str) -> Callable[[], Any]:
 def recorded_if_possible(
     name: str, work: Callable[[], Any], device: str
 ) -> Callable[[], Any]:
-    """Return :func:`recorded`, or the function itself with a warning that says why.
+    """Return :func:`recorded`, or the function itself with a warning about the reason.
 
     Args:
-        name: For the warning.
-        work: As there.
-        device: As there.
+        name: Name of the function in the warning.
+        work: The function; see :func:`recorded`.
+        device: Such as ``"cuda:0"``.
     """
     return _first(recorded, work, name, work, device)
 
 
 def launched(work: Callable[[], Any], device: str) -> Callable[[], Any]:
-    """Record what a function launches in Warp, and return what replays it.
+    """Record a function's launches in Warp, and return a function that replays them.
 
-    It is called once before. The replay is on the current stream of torch; on a CPU it
-    is the function itself.
+    The function is called once before the recording. The replay is on torch's current
+    stream; on a CPU it is the function itself.
 
     Args:
         work: The function.
         device: Such as ``"cuda:0"``.
 
     Raises:
-        RuntimeError: Something in it cannot be recorded.
+        RuntimeError: The function cannot be recorded.
     """
     with wp.ScopedDevice(device):
         if not device.startswith("cuda"):
@@ -99,12 +98,12 @@ def launched(work: Callable[[], Any], device: str) -> Callable[[], Any]:
 def launched_if_possible(
     name: str, work: Callable[[], Any], device: str
 ) -> Callable[[], Any]:
-    """Return :func:`launched`, or what calls the function, with a warning.
+    """Return :func:`launched`, or the function itself with a warning about the reason.
 
     Args:
-        name: For the warning.
-        work: As there.
-        device: As there.
+        name: Name of the function in the warning.
+        work: The function.
+        device: Such as ``"cuda:0"``.
     """
     return _first(launched, _on_device(work, device), name, work, device)
 
@@ -129,7 +128,7 @@ def _first(
     work: Callable[[], Any],
     device: str,
 ) -> Callable[[], Any]:
-    """Return what was recorded, or something plain with a warning that says why."""
+    """Return the recording, or the plain function with a warning about the reason."""
     try:
         return record(work, device)
     except (RuntimeError, AssertionError) as error:

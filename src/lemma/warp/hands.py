@@ -1,6 +1,6 @@
-"""Where hands are, and how they are led by whole poses, for many arms at once in torch.
+"""Forward and inverse kinematics and pose control of many arms, in torch.
 
-Poses are 12 numbers: the position of a tool centre point in the world [m], then its
+Poses are 12 numbers: the position of a tool center point in the world [m], then its
 rotation matrix, row by row.
 """
 
@@ -15,15 +15,15 @@ from lemma.policies.control.hand_steps import Arms
 from lemma.robots.gripper import TCP_OFFSET_M
 
 STEP_M, TURN_RAD = 0.05, 0.25
-"""Longest step along an axis, and about it, as on the CPU."""
+"""Largest step along an axis and about it, as on the CPU."""
 _EPS = 1e-6
 
 
 def hand_poses(q: Tensor, base: Tensor, arms: Arms) -> Tensor:
-    """Return the poses of tool centre points in the world, (..., robots, 12).
+    """Return the poses of tool center points in the world, (..., robots, 12).
 
-    The same as :func:`lemma.robots.ur.kinematics.forward`. Joints 2, 3 and 4 turn about
-    parallel axes, so that the arm stands in one vertical plane up to its first wrist.
+    As :func:`lemma.robots.ur.kinematics.forward`. The axes of joints 2, 3 and 4 are
+    parallel, so the arm is in one vertical plane up to its first wrist.
 
     Args:
         q: Joint angles, (..., robots, 6) [rad].
@@ -41,7 +41,7 @@ def hand_poses(q: Tensor, base: Tensor, arms: Arms) -> Tensor:
     c1, c2, c3, c4, c5, c6 = torch.cos(angles).unbind(-1)
     s1, s2, s3, s4, s5, s6 = torch.sin(angles).unbind(-1)
     zero = torch.zeros_like(c1)
-    # Away from the base in the arm's plane, and across that plane.
+    # Unit vectors away from the base in the arm's plane, and normal to that plane.
     away = torch.stack([c1, s1, zero], -1)
     across = torch.stack([s1, -c1, zero], -1)
 
@@ -63,22 +63,24 @@ def hand_poses(q: Tensor, base: Tensor, arms: Arms) -> Tensor:
 
 
 def upright(poses: Tensor) -> Tensor:
-    """Return x, y, z and yaw of such poses, (..., robots, 4) [m, rad]."""
+    """Return x, y, z and yaw of poses (..., robots, 12), (..., robots, 4) [m, rad]."""
     yaw = torch.atan2(poses[..., 6], poses[..., 3])
     return torch.cat([poses[..., :3], yaw[..., None]], -1)
 
 
 def pose_joints(pose: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
-    """Return the joint angles of hands at poses, (..., robots, 6) [rad].
+    """Return the inverse kinematics of poses, (..., robots, 6) [rad].
 
-    In closed form, in the branch in which the arms wait: shoulder, elbow and wrist
-    never turn over. Out of reach an arm is stretched towards its target.
+    The solution is in closed form, in the branch of the parking pose, so shoulder,
+    elbow and wrist never flip. For a target out of reach the arm is stretched towards
+    it.
 
     Args:
-        pose: Of the tool centre points, (..., robots, 12).
+        pose: Poses of the tool center points, (..., robots, 12).
         base: x, y and yaw of each base, (..., robots, 3) [m, rad].
         arms: The robots' arms.
-        near: Joint angles; whole turns are added to come near them.
+        near: Joint angles, (..., robots, 6) [rad]; full turns are added to the result
+            to come near them.
     """
     d1, a2, a3, d4, d5, d6 = arms.dh.unbind(-1)
     shoulder, wrist, elbow = arms.branch.unbind(-1)
@@ -105,21 +107,21 @@ def pose_joints(pose: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
     q2 = torch.atan2(-y, -x) - torch.atan2(a3 * torch.sin(q3), a2 + a3 * torch.cos(q3))
     found = torch.stack([first - base[..., 2], q2, q3, whole - q2 - q3, q5, q6], -1)
     turned = found - math.tau * torch.round((found - near) / math.tau)
-    # No joint turns farther than one whole turn.
+    # Joint limits are one full turn.
     return torch.where(turned.abs() > math.tau, found, turned)
 
 
 def moved(pose: Tensor, rows: Tensor, here: Tensor) -> Tensor:
-    """Return the next poses that are asked for, (..., robots, 12).
+    """Return the next target poses, (..., robots, 12).
 
     As mode ``delta_ee_pose`` on the CPU: steps along and about the axes of the world,
-    from the last target, which is at most two steps ahead of the hand. Fingertips stay
-    above the table.
+    from the last target, which is at most two steps ahead of the hand. The fingertips
+    stay above the table.
 
     Args:
-        pose: The last targets.
-        rows: Actions in [-1, 1], (..., robots, 7); the last number is not looked at.
-        here: Where the hands are.
+        pose: The last target poses, (..., robots, 12).
+        rows: Actions in [-1, 1], (..., robots, 7); the last number is not used.
+        here: Present poses of the hands, (..., robots, 12).
     """
     ahead = pose[..., :3] + STEP_M * rows[..., :3] - here[..., :3]
     length = torch.linalg.vector_norm(ahead, dim=-1, keepdim=True).clamp_min(_EPS)
@@ -147,7 +149,7 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _times(a: Tensor, b: Tensor) -> Tensor:
-    """Return products of matrices, without a library that needs memory of its own."""
+    """Return products of matrices, without a library that allocates memory."""
     return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
 
 

@@ -1,4 +1,4 @@
-"""A pool of instances in one compiled model; objects that one lacks are parked."""
+"""A pool of instances in one compiled model; unused objects are parked."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,15 +30,15 @@ class Pool:
 
     instances: tuple[Instance, ...]
     scene: Scene
-    """One compiled model with room for every instance."""
+    """One compiled model with the objects of every instance."""
     slots: tuple[str, ...]
     """Kind of each object of the model."""
     goal: tuple[tuple[int, int], ...]
-    """Top and bottom of each part of the goal, as slots; -1 for the hand."""
+    """Top and bottom of each pair of the goal, as slots; -1 for the hand."""
     moved: tuple[int, ...]
-    """Bodies that stand elsewhere in each instance: bases, pads."""
+    """Ids of fixed bodies whose pose depends on the instance: bases, pads."""
     geoms: tuple[int, ...]
-    """Their geoms."""
+    """Ids of the geoms of these bodies."""
     colors: tuple[tuple[str, ...], ...]
     """Color of each object of the model in each instance."""
     rows: dict[str, FloatArray]
@@ -48,21 +48,21 @@ class Pool:
 
 
 def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> Pool:
-    """Sample instances, as those of split ``free`` are.
+    """Sample instances of the split ``free``.
 
     Args:
         task: Name of the task.
         team: Arm types; the task's first team if None.
-        count: How many.
-        seed: Index of the first.
+        count: Number of instances.
+        seed: Index of the first instance.
 
     Raises:
-        UnknownNameError: No such task or arm.
-        InvalidConfigError: The task has sticks, a gap in the table, or rules.
+        UnknownNameError: There is no such task or arm.
+        InvalidConfigError: The task has sticks, gaps, rules, or different hands.
     """
-    if TASKS[task].rules:
+    if TASKS[task].rules or TASKS[task].hands:
         raise InvalidConfigError(
-            f"Goals of task {task!r} have rules, which nobody watches on a GPU."
+            f"Task {task!r} has rules or different hands, which are not on a GPU."
         )
     chosen = tuple(team or TASKS[task].teams[0])
     found = tuple(
@@ -72,8 +72,8 @@ def make_pool(task: str, team: Sequence[str] | None, count: int, seed: int) -> P
     kinds = {placed.kind for one in found for placed in one.scene.objects}
     if not kinds <= set(_KINDS) or any(one.scene.gap_m for one in found):
         raise InvalidConfigError(
-            f"Task {task!r} has {', '.join(sorted(kinds))}: on a GPU there are only "
-            "cubes and pads, on a table of one piece."
+            f"Task {task!r} has {', '.join(sorted(kinds))}. On a GPU there are only "
+            "cubes and pads, and a table without a gap."
         )
     orders = [_order(one) for one in found]
     most = {k: max(len(order[k]) for order in orders) for k in _KINDS}
@@ -113,7 +113,7 @@ def _colors(
     order: dict[str, list[str]],
     slots: Sequence[ObjectPlacement],
 ) -> tuple[str, ...]:
-    """Return the color of each slot; parked objects keep any."""
+    """Return the color of each slot; that of parked objects is arbitrary."""
     found = {kind: iter(names) for kind, names in order.items()}
     names = [next(found[slot.kind], None) for slot in slots]
     return tuple(
@@ -125,7 +125,7 @@ def _colors(
 def _slots(
     instance: Instance, order: dict[str, list[str]], first: dict[str, int]
 ) -> tuple[tuple[int, int], ...]:
-    """Return top and bottom of each part of the goal as slots."""
+    """Return top and bottom of each pair of the goal as slots."""
 
     def slot(name: str) -> int:
         if name not in instance.scene.object_names:
@@ -137,7 +137,7 @@ def _slots(
 
 
 def _order(instance: Instance) -> dict[str, list[str]]:
-    """Return the objects of each kind, those of the goal first."""
+    """Return the names of objects by kind, with those of the goal first."""
     names = dict.fromkeys((*instance.goal.entities, *instance.scene.object_names))
     return {kind: [n for n in names if kind_of(n).name == kind] for kind in _KINDS}
 

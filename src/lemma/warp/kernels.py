@@ -1,4 +1,4 @@
-"""Kernels between the physics steps of MuJoCo Warp: servos, touches, throws."""
+"""Kernels between the physics steps of MuJoCo Warp: servos, contacts, throws."""
 
 import math
 
@@ -23,10 +23,10 @@ def drive(
     rate: wp.array2d(dtype=float),  # type: ignore[valid-type]
     ctrl: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ) -> None:
-    """Advance the reference of each joint as ``drive_positions`` does on the CPU.
+    """Advance the reference of each joint, as ``drive_positions`` on the CPU.
 
-    There is no safety filter. ``numbers`` has speed, lag and range of each joint;
-    ``addresses`` its places in ``qpos`` and ``ctrl``.
+    There is no safety filter. ``numbers`` has speed, lag and range of each joint, and
+    ``addresses`` its indices in ``qpos`` and ``ctrl``.
     """
     w, j = wp.tid()
     speed, lag, limit = numbers[j, 0], numbers[j, 1], numbers[j, 2]
@@ -57,9 +57,11 @@ def note(
     objects: int,
     touch: wp.array3d(dtype=int),  # type: ignore[valid-type]
 ) -> None:
-    """Note who touches each object, as bits of owners: at all, below, not from above.
+    """Record the owners in contact with each object as three bit masks.
 
-    Owners are 0 for the room, then objects, then robots: palm, left and right pad.
+    The masks are of all contacts, of contacts from below, and of those not from above.
+    Owner 0 is the room, then come the objects, then palm, left and right pad of each
+    robot.
     """
     c = wp.tid()
     if c >= count[0]:
@@ -91,10 +93,10 @@ def follow(  # noqa: PLR0913
     awake: wp.array(dtype=int),  # type: ignore[valid-type]
     thrown: wp.array(dtype=int),  # type: ignore[valid-type]
 ) -> None:
-    """Follow what moves by itself, as :mod:`lemma.scene.coasting` does on the CPU.
+    """Detect objects that move without a robot, as :mod:`lemma.scene.coasting`.
 
-    ``left`` has where each movable object was led last, and for how long it has touched
-    nothing.
+    ``left`` has the position at which each movable object was last touched by a robot,
+    and the time without any contact [s].
     """
     w = wp.tid()
     count = addresses.shape[0]

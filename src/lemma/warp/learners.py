@@ -1,8 +1,8 @@
-"""Many tables in the forms that libraries of learners take.
+"""Wrappers of :class:`GpuVecEnv` for libraries of reinforcement learning.
 
-:class:`RobotsEnv` is a dictionary of tensors per robot, as multi-agent learners of skrl
-take it (``wrap_env(env, "isaaclab-multi-agent")``); :class:`RunnerEnv` is the vector
-environment of rsl_rl. Both show the same numbers of each robot, :func:`rows_of`.
+:class:`RobotsEnv` has a dictionary of tensors per robot for multi-agent learners of
+skrl (``wrap_env(env, "isaaclab-multi-agent")``); :class:`RunnerEnv` is a vector
+environment of rsl_rl. Both have the same observation of each robot, :func:`rows_of`.
 """
 
 from collections.abc import Mapping
@@ -16,29 +16,29 @@ from torch import Tensor
 from lemma.warp.vector_env import GpuVecEnv
 
 KEYS = ("agent_pos", "agent_vel", "goal_state", "target", "here", "base", "asked")
-"""Parts of an observation that are numbers of robots, in the order of rows."""
+"""Parts of an observation with numbers per robot, in the order of :func:`rows_of`."""
 
 
 def rows_of(observation: Mapping[str, Tensor], robots: int) -> Tensor:
-    """Return the numbers that each robot is given, (n, robots, numbers).
+    """Return the observation of each robot, (n, robots, numbers).
 
     Args:
-        observation: Of a :class:`GpuVecEnv`.
-        robots: How many there are.
+        observation: Observation of a :class:`GpuVecEnv`.
+        robots: Number of robots.
     """
     n = len(observation["here"])
     return torch.cat([observation[key].view(n, robots, -1) for key in KEYS], -1)
 
 
 class RobotsEnv:
-    """A robot is an agent: dictionaries of tensors, by the robots' names.
+    """A multi-agent environment with one agent per robot: tensors by robots' names.
 
-    All robots have the team's reward, and end together. The state, for a critic of all,
-    is what all of them are given, one after the other.
+    All robots get the team's reward, and their episodes end together. The state for a
+    central critic is the concatenation of all observations.
     """
 
     def __init__(self, env: GpuVecEnv) -> None:
-        """Take an environment, which is played in by this one from now on."""
+        """Wrap an environment."""
         self.env = env
         self.agents = [robot.name for robot in env.robots]
         self.possible_agents = list(self.agents)
@@ -67,7 +67,7 @@ class RobotsEnv:
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Set all tables; return what each robot is given, and info."""
+        """Reset all worlds; return observations by robot, and info."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._rows = self._show(observation)
         return self._dict(self._rows), info
@@ -81,7 +81,12 @@ class RobotsEnv:
         dict[str, Tensor],
         dict[str, Any],
     ]:
-        """Act on all tables; each action is (n, numbers of one robot)."""
+        """Act in all worlds; each action is (n, numbers of one robot).
+
+        Returns:
+            Observations, rewards, terminated and truncated, (n,) each, by robot; and
+            info.
+        """
         together = torch.cat([actions[name] for name in self.agents], -1)
         observation, reward, terminated, truncated, info = self.env.step(together)
         self._rows = self._show(observation)
@@ -93,21 +98,21 @@ class RobotsEnv:
         return shown, each(reward), each(terminated), each(truncated), info
 
     def state(self) -> Tensor:
-        """Return what all robots were given last, (n, robots x numbers)."""
+        """Return the last observations of all robots, (n, robots x numbers)."""
         return self._rows.flatten(1)
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing; part of skrl's interface."""
 
 
 class RunnerEnv:
-    """Tables for ``rsl_rl.runners.OnPolicyRunner``; all robots are one agent.
+    """An environment for ``rsl_rl.runners.OnPolicyRunner``; all robots are one agent.
 
-    It needs the package ``tensordict``, which comes with rsl_rl.
+    It needs the package ``tensordict``, a dependency of rsl_rl.
     """
 
     def __init__(self, env: GpuVecEnv) -> None:
-        """Take an environment, which is played in by this one from now on."""
+        """Wrap an environment."""
         self.env = env
         self.num_envs, self.num_actions = env.num_envs, env.numbers
         self.max_episode_length, self.device = env._horizon, env.device
@@ -130,15 +135,18 @@ class RunnerEnv:
         self.env._age.copy_(steps)
 
     def get_observations(self) -> Any:
-        """Return what is seen now, a TensorDict with the group ``policy``."""
+        """Return the present observations, a TensorDict with the group ``policy``."""
         return self._shown
 
     def step(self, actions: Tensor) -> tuple[Any, Tensor, Tensor, dict[str, Any]]:
-        """Act on all tables.
+        """Act in all worlds.
+
+        Args:
+            actions: (n, robots x numbers).
 
         Returns:
-            Observations, rewards, which episodes ended (n,), and extras: ``time_outs``,
-            and the share of ends that are successes, for the log.
+            Observations, rewards (n,), whether episodes ended (n,), and extras:
+            ``time_outs``, and for the log the share of successes among the ends.
         """
         observation, reward, terminated, truncated, info = self.env.step(actions)
         self._shown = self._group(observation)

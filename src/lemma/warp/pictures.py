@@ -1,4 +1,4 @@
-"""Pictures of cameras on all tables, traced by MuJoCo Warp, as torch tensors."""
+"""Images of cameras in all worlds, ray-traced by MuJoCo Warp, as torch tensors."""
 
 import math
 from collections.abc import Sequence
@@ -30,30 +30,30 @@ from lemma.scene.spec import SceneSpec
 from lemma.warp.graphs import launched_if_possible
 
 _FORWARD = np.array([1.0, -1.0, -1.0])
-"""Signs of axes: cameras of MuJoCo look backward along z, and their y is up."""
+"""Signs of axes: in MuJoCo's camera frame the view is along -z, and y is up."""
 
 
 class Pictures:
-    """Color and depth of some cameras on all tables of an environment.
+    """Color and depth of some cameras in all worlds of an environment.
 
-    Cameras hang where they do on the CPU: above each robot, above where it reaches, or
-    on its wrist (:mod:`lemma.env.camera_rig`).
+    The mounts are those on the CPU: above each robot, above its reach, or on its wrist
+    (:mod:`lemma.env.camera_rig`).
     """
 
     def __init__(
         self, env: Any, cameras: Sequence[str], width: int, height: int
     ) -> None:
-        """Prepare buffers for all tables.
+        """Allocate buffers for all worlds.
 
         Args:
-            env: A :class:`~lemma.warp.vector_env.GpuVecEnv`, whose memory is read.
+            env: A :class:`~lemma.warp.vector_env.GpuVecEnv`, whose tensors are read.
             cameras: Names of a robot, of its reach or of its wrist: ``"robot_0"``,
                 ``"robot_0_reach"``, ``"robot_0_wrist"``.
-            width: Width of pictures [px].
-            height: Height of pictures [px].
+            width: Width of images [px].
+            height: Height of images [px].
 
         Raises:
-            UnknownNameError: No such camera.
+            UnknownNameError: There is no such camera.
         """
         names = env.pool.scene.spec.robot_names
         fixed = (*names, *map(reach_name, names))
@@ -97,7 +97,7 @@ class Pictures:
             self._camera_xmat = wp.zeros((env.num_envs, count), dtype=wp.mat33)
 
     def _make_colors(self) -> None:
-        """Make the colors of shells of robots and of objects in each instance."""
+        """Set the colors of robots' shells and of objects in each instance."""
         env, pool = self._env, self._env.pool
         scene, model = pool.scene, pool.scene.model
         rgba = model.geom_rgba.astype(np.float32)
@@ -130,7 +130,7 @@ class Pictures:
                 env.pool.scene.model,
                 nworld=n,
                 cam_res=[self._size] * count,
-                # Any camera will do: poses and lenses come with every launch.
+                # Any camera: poses and fields of view are set at every launch.
                 cam_active=[0] * count,
                 render_rgb=[True] * count,
                 render_depth=[True] * count,
@@ -164,7 +164,7 @@ class Pictures:
     def _trace(self) -> None:
         """Trace all rays, in Warp."""
         env = self._env
-        # The physics leaves poses of geoms from before its last step.
+        # After a physics step the geoms' poses are those before the step.
         mjw.kinematics(env.model, env.data)
         mjw.camlight(env.model, env.data)
         mjw.refit_bvh(self._model, self._poses, self._context)
@@ -172,11 +172,11 @@ class Pictures:
 
     @torch.no_grad()
     def look(self) -> dict[str, dict[str, Tensor]]:
-        """Return what is seen now.
+        """Return the present images.
 
         Returns:
-            ``pixels``: for each camera, (n, height, width, 3) of uint8; ``depth``: for
-            each camera, (n, height, width) [m].
+            ``pixels``: by camera, (n, height, width, 3) uint8; ``depth``: by camera,
+            (n, height, width) float32 [m].
         """
         env, n = self._env, self._env.num_envs
         rows = torch.where(
@@ -199,7 +199,7 @@ class Pictures:
         }
 
     def _on_wrists(self) -> Tensor:
-        """Return where cameras would be that are on wrists, (n, cameras, 12)."""
+        """Return the poses of cameras for mounts on wrists, (n, cameras, 12)."""
         hands = self._env.hands[:, self._hand]
         turn = hands[..., 3:].view(*hands.shape[:2], 3, 3)
         at = hands[..., :3] + (turn * self._wrist_off).sum(-1)
@@ -212,7 +212,7 @@ def _mounted(
 ) -> tuple[FloatArray, float]:
     """Return position and rotation, 12 numbers, and the vertical field of view [rad].
 
-    The pose means nothing for a camera on a wrist.
+    The pose is not used for a camera on a wrist.
     """
     for robot, placed in zip(spec.robot_names, spec.robots, strict=True):
         if name == robot:

@@ -1,6 +1,6 @@
-"""Goals, potentials and goal states of many worlds at once, in torch.
+"""Goals, potentials and goal states of many worlds, in torch.
 
-The same as :mod:`lemma.tasks.goal`, :mod:`lemma.env.signals.rewards` and
+They equal :mod:`lemma.tasks.goal`, :mod:`lemma.env.signals.rewards` and
 :mod:`lemma.env.signals.goal_state` on the CPU, for cubes and pads.
 """
 
@@ -27,7 +27,7 @@ class Signals:
     """Goals and potentials of a :class:`~lemma.warp.vector_env.GpuVecEnv`."""
 
     def __init__(self, env: Any) -> None:
-        """Take the environment, whose tensors are read."""
+        """Store the environment, whose tensors are read."""
         self._env = env
         self._goal = env.pool.goal
         scene = env.pool.scene
@@ -43,11 +43,11 @@ class Signals:
         self._slots, self._count = len(self._kinds), len(env.robots)
         wanted = [top for top, bottom in self._goal if bottom < 0]
         others = [k for k in range(self._slots) if k not in wanted]
-        # A list as an index would be copied from the host at each use.
+        # A tensor, because each use of a list as an index copies it from the host.
         self._others = torch.tensor(others, dtype=torch.int64, device=env.device)
 
     def look(self) -> None:
-        """Read where objects are now; the hands' poses are those of the environment."""
+        """Read the present poses of objects."""
         env = self._env
         self._parts: dict[tuple[int, int], Tensor] = {}
         poses = env._rows["fixed"][env.instance].clone()
@@ -72,7 +72,7 @@ class Signals:
         return (self._touch[:, slot, 0] & mask) != 0
 
     def _part(self, pair: tuple[int, int]) -> Tensor:
-        """Return whether a part of the goal holds, (n,); worked out once a look."""
+        """Return whether a pair of the goal holds, (n,); cached until :meth:`look`."""
         if pair not in self._parts:
             self._parts[pair] = self._holds(*pair)
         return self._parts[pair]
@@ -114,14 +114,14 @@ class Signals:
         return up.abs().amax(-1) >= math.cos(TILT_RAD)
 
     def succeeds(self) -> Tensor:
-        """Return whether the whole goal holds, with nothing held besides, (n,)."""
+        """Return whether the goal holds and no other object is held, (n,)."""
         found = ~self.holds[:, self._others].any(-1).any(-1)
         for pair in self._goal:
             found = found & self._part(pair)
         return found
 
     def potential(self) -> Tensor:
-        """Return how far each world has come, as ``goal_potential``, (n,)."""
+        """Return the potential of each world, as ``goal_potential``, (n,)."""
         parts = [
             torch.where(self._part(pair), 1.0, self._share(pair)) for pair in self._goal
         ]
@@ -151,7 +151,7 @@ class Signals:
         return nearness(way)
 
     def _grip(self, slot: int) -> Tensor:
-        """Return how well the best hand is about to grasp an object, (n,)."""
+        """Return the largest :func:`grip` of all hands for an object, (n,)."""
         at, turn, quarter = self._grasp(slot)
         off = self._tcp - at[:, None]
         if quarter:
@@ -161,7 +161,7 @@ class Signals:
         return grip(beside, off[..., 2], turn, opening).amax(1)
 
     def _grasp(self, slot: int) -> tuple[Tensor, Tensor, float]:
-        """Return where an object is grasped, and by how much hands are to turn."""
+        """Return an object's grasp position, the hands' yaw errors and its symmetry."""
         kind, at = self._kinds[slot], self.at[:, slot].clone()
         hands = self._env.hands
         if kind.grasp is None:

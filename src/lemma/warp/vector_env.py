@@ -1,4 +1,4 @@
-"""Thousands of tables at once: a Gymnasium vector environment of torch tensors."""
+"""A Gymnasium vector environment of thousands of worlds, with torch tensors."""
 
 import math
 from collections.abc import Callable
@@ -25,22 +25,23 @@ _CHECK_STEPS = 64
 
 
 class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
-    """One task on many tables; see ``docs/gpu.md``."""
+    """One task in many worlds; see ``docs/gpu.md``."""
 
     def __init__(self, task: str, num_envs: int = 4096, **options: Any) -> None:
         """Sample instances, compile the model and capture the control step.
 
         Args:
             task: Name of a task with cubes and pads.
-            num_envs: How many tables.
+            num_envs: Number of worlds.
             **options: Fields of :class:`~lemma.warp.config.GpuConfig`.
 
         Raises:
-            UnknownNameError: No such task, arm or option, or no such value of it.
-            InvalidConfigError: An option is impossible, or the task is here.
+            UnknownNameError: There is no such task, arm or option, or value of an
+                option.
+            InvalidConfigError: An option is invalid, or the task is not supported.
         """
         self.config = config = GpuConfig.from_options(options)
-        # It would tell about every module that it loads, on the output.
+        # By default Warp prints a line for every module that it loads.
         wp.config.log_level = wp.LOG_WARNING
         wp.init()
         self.device, self.num_envs = config.chosen_device, num_envs
@@ -48,14 +49,14 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self.discount = config.reward_discount
         self.pool = make_pool(task, config.team, config.pool, config.seed)
         self._set_times(config.control_hz, config.horizon_s)
-        # The instance; then six numbers for a start near the object.
+        # One number for the instance, and six for a start near the object.
         self.draws = Draws(num_envs, 7, config.seed, self.device)
         self._near = config.near
         self._share = torch.full((), config.near, device=self.device)
         self._make_worlds()
         self.signals = Signals(self)
         self.numbers = len(self.robots) * CONTROLS[self.control]
-        """Numbers of an action."""
+        """Number of dimensions of an action."""
         self._action = torch.zeros(num_envs, self.numbers, device=self.device)
         self._make_texts()
         self.use_graph(config.uses_graph)
@@ -72,7 +73,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self._horizon = max(1, round(horizon_s * control_hz))
         self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
         self.lost_worlds = torch.zeros((), device=self.device)
-        """How many worlds were reset because their state was no number any more."""
+        """Number of worlds that were reset because their state was not finite."""
 
     @property
     def near(self) -> float:
@@ -85,16 +86,16 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
         self._near = share
         self._share.fill_(share)
         if begun and self.graphed:
-            # The recorded graph draws no such starts, or draws them in vain.
+            # The graph depends on whether there are such starts, so record it anew.
             kept = [memory.clone() for memory in self._mutable()]
             self._record()
             for memory, value in zip(self._mutable(), kept, strict=True):
                 memory.copy_(value)
 
     def use_graph(self, on: bool) -> None:
-        """Replay what is beside the physics as CUDA graphs, or not; begin anew.
+        """Switch the CUDA graphs besides the physics on or off, and reset all worlds.
 
-        Where they cannot be recorded, a warning says why, and ``graphed`` stays false.
+        If they cannot be recorded, there is a warning, and ``graphed`` stays False.
         """
         self._before: Callable[[], Any] = self._command
         self._after: Callable[[], Any] = self._judge
@@ -107,7 +108,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
     @property
     def graphed(self) -> bool:
-        """Whether what is beside the physics is replayed as CUDA graphs."""
+        """Whether CUDA graphs replay everything besides the physics, too."""
         return self._before != self._command and self._after != self._judge
 
     @torch.no_grad()
@@ -119,12 +120,12 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
     @torch.no_grad()
     def _start_all(self) -> None:
-        """Set all tables, with the next draws."""
+        """Reset all worlds, with the next random numbers."""
         self._begin(torch.ones_like(self._age, dtype=torch.bool))
         self.potential.copy_(self.signals.potential())
 
     def _seen(self, found: dict[str, Any]) -> dict[str, Any]:
-        """Return an observation with pictures, if they are asked for."""
+        """Return an observation with images, if the options have them."""
         return found | self.pictures.look() if self.pictures else found
 
     def _make_texts(self) -> None:
@@ -146,7 +147,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Set all tables; a seed seeds which instances are drawn."""
+        """Reset all worlds; a seed determines the drawn instances."""
         del options
         if seed is not None:
             self.draws.seed(seed)
@@ -156,34 +157,34 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """All sentences of the pool; ``info["sentence"]`` has places in it."""
+        """All instructions of the pool; ``info["sentence"]`` has indices into it."""
         return self._texts
 
     def sentences(self) -> list[str]:
-        """Return what is asked for on each table; copies numbers from the device."""
+        """Return the instruction of each world; copies numbers from the device."""
         return [self._texts[i] for i in self._sentence[self.instance].tolist()]
 
     @torch.no_grad()
     def step(
         self, action: Tensor
     ) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Any]]:
-        """Act on all tables.
+        """Act in all worlds.
 
         Args:
-            action: (n, robots x numbers), clipped to [-1, 1] but for joint positions.
+            action: (n, robots x numbers), clipped to [-1, 1] except joint positions.
 
         Returns:
             Observations, rewards, terminated, truncated, and info: ``success`` and
-            ``thrown`` of episodes that end, ``final_obs``, and the numbers of the
-            ``instance`` and its ``sentence`` (:attr:`texts`).
+            ``thrown`` of episodes that end, ``final_obs``, and the indices of the
+            ``instance`` and of its ``sentence`` in :attr:`texts`.
 
         Raises:
-            PhysicsError: A buffer of contacts or constraints was too small.
+            PhysicsError: A buffer of contacts or constraints is too small.
         """
         self._action.copy_(action)
         self._before()
         self._simulate()
-        # A graph writes its results to the same memory at every replay.
+        # Copy, because every replay of a graph overwrites its results.
         found = _copies(self._after())
         self._steps += 1
         if self._steps % _CHECK_STEPS == 0:
@@ -196,7 +197,7 @@ class GpuVecEnv(Episodes, VectorEnv[Any, Any, Any]):
 
 
 def _space(found: dict[str, Any], first: int = 0) -> Dict:
-    """Return the space of observations, of all tables or from another axis on."""
+    """Return the space of observations, without the first ``first`` axes."""
     spaces: dict[str, Space[Any]] = {}
     for key, value in found.items():
         if isinstance(value, dict):
@@ -209,7 +210,7 @@ def _space(found: dict[str, Any], first: int = 0) -> Dict:
 
 
 def _copies(found: dict[str, Any]) -> dict[str, Any]:
-    """Return tensors of their own, also in dictionaries."""
+    """Return copies of tensors, also in nested dictionaries."""
     return {
         key: _copies(value) if isinstance(value, dict) else value.clone()
         for key, value in found.items()

@@ -22,7 +22,7 @@ _LOST = (
 
 
 class Worlds:
-    """Worlds of one model; :class:`~lemma.warp.vector_env.GpuVecEnv` plays in them."""
+    """Worlds of one model; the base of :class:`~lemma.warp.vector_env.GpuVecEnv`."""
 
     pool: Pool
     num_envs: int
@@ -96,7 +96,7 @@ class Worlds:
         self.potential, self._slow = zeros(n), zeros(n, count, 1)
 
     def _make_places(self) -> None:
-        """Make indices on the device: a list would be copied to it at each use."""
+        """Create index tensors on the device; each use of a list would copy it."""
         pool, robots = self.pool, self.robots
         free = [pool.scene.qpos_of(name) for name in pool.scene.movable_names]
         places = {
@@ -178,7 +178,7 @@ class Worlds:
             )  # fmt: skip
 
     def _note_touches(self) -> None:
-        """Note who touches what, by the contacts of the last physics step, in Warp."""
+        """Record contacts of the last physics step by owner, in Warp."""
         owner, contact = self._constants[-1], self.data.contact
         touch = wp.from_torch(self.touch)
         touch.zero_()
@@ -191,7 +191,7 @@ class Worlds:
 
     def _capture(self) -> None:
         self._simulate = launched(self._advance, self.device)
-        # That step was of worlds that were not set up yet.
+        # The recorded step was of worlds without an initial state.
         self._overflow.zero_()
 
     def _place_hands(self) -> None:
@@ -199,7 +199,7 @@ class Worlds:
 
     @property
     def here(self) -> Tensor:
-        """Where the hands are: x, y, z, yaw, (n, robots, 4) [m, rad]."""
+        """Poses of the hands: x, y, z, yaw, (n, robots, 4) [m, rad]."""
         return upright(self.hands)
 
     @property
@@ -211,19 +211,19 @@ class Worlds:
 
     @property
     def asked(self) -> Tensor:
-        """The opening that was asked of each gripper last, (n, robots) [m]."""
+        """The last commanded opening of each gripper, (n, robots) [m]."""
         found: Tensor = self.ctrl[:, self._at["grips"]]
         return found
 
     def check(self) -> None:
-        """Look whether a buffer of the physics was too small.
+        """Check the buffers of the physics.
 
         Raises:
-            PhysicsError: It was: contacts were lost.
+            PhysicsError: A buffer was too small, and contacts were lost.
         """
         lost = (self._overflow & int(_LOST)) != 0
         if bool(lost.any()):
             raise PhysicsError(
                 f"Contacts or constraints of {int(lost.sum())} worlds did not fit into "
-                "their buffers, and what is simulated there means nothing."
+                "their buffers, so their simulation is wrong."
             )

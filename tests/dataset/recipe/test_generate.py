@@ -81,7 +81,7 @@ def test_more_episodes_are_added_to_fewer(tmp_path: Path) -> None:
 
 def test_fewer_episodes_than_there_are_is_refused(tmp_path: Path) -> None:
     folder = copytree(small_recipe(), tmp_path / "copy")
-    with pytest.raises(DatasetError, match=r"holds 3 episodes, but 2 are wanted"):
+    with pytest.raises(DatasetError, match="more than the requested 2"):
         generate(replace(small_order(folder), episodes=2), Serial())
     assert bytes_of(folder) == bytes_of(small_recipe())
 
@@ -197,7 +197,7 @@ def test_an_order_is_checked(tmp_path: Path) -> None:
         GenerateConfig(out=tmp_path, tasks=("stak",))
     with pytest.raises(UnknownNameError, match="'val'"):
         GenerateConfig(out=tmp_path, splits=("vall",))
-    with pytest.raises(InvalidConfigError, match="1 or more"):
+    with pytest.raises(InvalidConfigError, match="at least 1"):
         GenerateConfig(out=tmp_path, episodes=0)
 
 

@@ -276,5 +276,5 @@ def test_files_are_opened_again_where_too_many_are_open(
 def test_a_folder_without_keyframes_is_explained(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no manifest.json.*'lemma render"):
         KeyframeDataset(tmp_path, SPLIT)
-    with pytest.raises(DatasetError, match="holds 'recipe'"):
+    with pytest.raises(DatasetError, match="has 'recipe'"):
         KeyframeDataset(recipe_folder(), SPLIT)

@@ -156,7 +156,7 @@ def test_another_version_is_explained(tmp_path: Path) -> None:
 
 def test_other_arrow_files_are_refused(tmp_path: Path) -> None:
     other_header(tmp_path / "other.arrow", form="sounds")
-    with pytest.raises(DatasetError, match="holds no rendered keyframes"):
+    with pytest.raises(DatasetError, match="has no rendered keyframes"):
         KeyframeFile(tmp_path / "other.arrow")
 
 
@@ -178,7 +178,7 @@ def test_reading_needs_neither_mujoco_nor_torch(tmp_path: Path) -> None:
     assert told_without(("mujoco", "torch"), code) == "(6, 10, 3)\n"
 
 
-def test_the_documentation_says_what_the_columns_are() -> None:
+def test_the_documentation_shows_the_columns() -> None:
     page = Path(__file__).parents[3] / "docs" / "rendered_format.md"
     text = page.read_text()
-    assert describe() in text
+    assert all(f"```{{columns}} {part}\n" in text for part in PARTS)

@@ -113,7 +113,7 @@ def test_a_file_that_was_cut_short_is_told_and_made_again(
     out = copytree(undisturbed, tmp_path / "set")
     path = out / "maps" / SPLIT / "stack-000.arrow"
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(DatasetError, match=r"stack-000.arrow .*cut short.*Delete"):
+    with pytest.raises(DatasetError, match=r"stack-000.arrow .*truncated.*Delete"):
         KeyframeDataset(out, SPLIT)
     with pytest.raises(DatasetError, match=r"stack-000.arrow is damaged.*Delete"):
         render(order(out), SMALL, Serial())
@@ -141,7 +141,7 @@ def test_what_was_made_otherwise_is_refused(undisturbed: Path, tmp_path: Path) -
     before = bytes_of(undisturbed)
     with pytest.raises(DatasetError, match="height was 60 and is now 90"):
         render(order(undisturbed), KeyframeForm(80, 90), Serial())
-    with pytest.raises(DatasetError, match="holds 'recipe', not 'keyframes'"):
+    with pytest.raises(DatasetError, match="has 'recipe', not 'keyframes'"):
         render(order(recipe_folder()), SMALL, Serial())
     other = GenerateConfig(
         out=tmp_path / "other", tasks=("pass",), splits=("test",), episodes=1

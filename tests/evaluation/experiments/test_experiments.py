@@ -226,15 +226,11 @@ def test_trainings_of_lerobot_are_found(tmp_path: Path) -> None:
         assert config.policy.name == f"{prefix}{told}"
 
 
-def test_the_page_lists_every_ablation() -> None:
+def test_the_page_says_how_long_ablations_are_trained() -> None:
     text = (Path(__file__).parents[3] / "docs" / "evaluation.md").read_text("utf-8")
-    lines = {line.split("`")[1]: line for line in text.splitlines() if "| `" in line}
+    few = f"--episodes-per-task {ABLATION_EPISODES}"
     for one in selected(ABLATIONS):
-        arguments = TRAININGS[one.policy.name].arguments
-        few = f"--episodes-per-task {ABLATION_EPISODES}"
-        assert arguments.startswith(few)
-        own = arguments.removeprefix(few).strip()
-        assert own in lines[one.name] or "all of these" in lines[one.name]
+        assert TRAININGS[one.policy.name].arguments.startswith(few)
     assert few in text
     assert str(TRAININGS["reachnet-complete"].samples) in text.replace(",", "")
 

@@ -241,5 +241,5 @@ def test_stop_frames_score_only_what_counts() -> None:
 
 @pytest.mark.parametrize("wrong", [{"draws": 0}, {"robots": 1}])
 def test_impossible_options_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(InvalidConfigError, match="least"):
+    with pytest.raises(InvalidConfigError, match="or more"):
         ReachNetConfig(**wrong)  # type: ignore[arg-type]

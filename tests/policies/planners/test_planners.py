@@ -254,9 +254,9 @@ def test_what_cannot_be_asked_is_refused(tmp_path: Path) -> None:
         PolicySpec("llm:m", chat=ChatOptions()).load()
     with pytest.raises(InvalidConfigError, match="llm:MODEL"):
         PolicySpec("llm:", chat=ChatOptions(base_url=url))
-    with pytest.raises(InvalidConfigError, match="asks no language model"):
+    with pytest.raises(InvalidConfigError, match="uses no language model"):
         PolicySpec("reachnet", chat=ChatOptions(base_url=url))
-    with pytest.raises(InvalidConfigError, match="asks no language model"):
+    with pytest.raises(InvalidConfigError, match="uses no language model"):
         PolicySpec("greedy-reach", chat=ChatOptions(base_url=url))
     with pytest.raises(InvalidConfigError, match="--planning"):
         PolicySpec("llm:m", "multi-step", chat=ChatOptions(base_url=url)).load()

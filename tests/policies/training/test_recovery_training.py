@@ -212,7 +212,7 @@ def test_instances_that_are_not_trained_on_stay_unknown(
     instances = {data.recovery.instances[unit[0]] for unit in found}
     assert instances == {data.train.instances[0], data.train.instances[12]}
     assert len(found) == 6
-    with pytest.raises(DatasetError, match="other instances"):
+    with pytest.raises(DatasetError, match="No recovery state"):
         recovery_units(model, data.recovery, [(27, 28, 29)], data.train)
 
 

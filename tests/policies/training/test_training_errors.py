@@ -51,7 +51,7 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
         train(config(data, tmp_path, options=("width",)))
     with pytest.raises(InvalidConfigError, match=r"Expected `int`, got `str`.*width"):
         train(config(data, tmp_path, options=("width=wide",)))
-    with pytest.raises(InvalidConfigError, match="part of what has one"):
+    with pytest.raises(InvalidConfigError, match="conflicts with another"):
         train(config(data, tmp_path, options=("width=4", "width.deep=3")))
     with pytest.raises(UnknownNameError, match="Unknown model 'tinny'"):
         train(config(data, tmp_path, model="tinny"))
@@ -89,7 +89,7 @@ def test_missing_or_foreign_data_are_refused_with_a_remedy(
     with pytest.raises(DatasetError, match="lemma render RECIPE"):
         train(config(tmp_path / "nothing", tmp_path / "out"))
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match="nothing was rendered there"):
+    with pytest.raises(DatasetError, match="it has no rendered data"):
         train(config(tmp_path / "empty", tmp_path / "out"))
     old = write_painted(tmp_path / "old", {"train": 1, "val": 1})
     text = (old / MANIFEST).read_text()

@@ -22,13 +22,13 @@ from lemma.scene.coasting import COAST_M
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.tasks.goal import On
 
-# Geometry forbids success farther out; up to so much farther they act all the same.
+# Geometry forbids success farther out; the attacks still act up to this distance more.
 _DOUBT_M = 0.05
 _HALF_M = CUBE_EDGE_M / 2
 _CORNER_M = _HALF_M * math.sqrt(2.0)
 _STEP_M = 0.01
 _REST_S = 0.8
-# How far inside the farthest place a cube is set down, by attempt.
+# Distance inside the farthest place at which a cube is set down, by attempt.
 _INSIDE_M = (0.03, 0.08)
 _KNOCKS_M_S = (0.15, 0.25, 0.32, 0.38, 0.44, 0.5, 0.6)
 _KNOCKED_AT_M = (0.0, 0.015)
@@ -100,7 +100,7 @@ def squeeze_out(trial: ControlTrial) -> None:
 
 
 def _goal_and_step(trial: ControlTrial) -> tuple[On, str]:
-    """Return the only conjunct and a spare cube; give up out of range or without."""
+    """Return the only conjunct and a spare cube; give up if either is not usable."""
     on = trial.goal.placements[0]
     trial.require(len(trial.goal.placements) == 1 and trial.is_home(on.top))
     beyond_m = _CORNER_M + COAST_M + trial.support_m(on.bottom) + _DOUBT_M
@@ -131,7 +131,7 @@ def _stand_far(
 def _stand(
     trial: ControlTrial, name: str, spot: Pose2, bottom_m: float, bearing: float
 ) -> bool:
-    """Stand a cube at a spot with the least lean; False if geometry or luck forbids."""
+    """Stand a cube at a spot with the least lean; False if that fails."""
     z, above_m = bottom_m + _HALF_M + 0.004, 0.06
     at = Pose2(spot.x, spot.y, bearing)
     for lean in LEANS_RAD:
@@ -149,7 +149,7 @@ def _stand(
 
 
 def _behind(trial: ControlTrial, on: On, length_m: float) -> list[FloatArray]:
-    """Return hands from behind the top of a goal outwards, with the best lean."""
+    """Return the longest path of hands outwards from behind the goal's top."""
     cube, z = trial.pose(on.top), trial.height(on.top) - 0.005
     bearing = math.atan2(
         trial.pose(on.bottom).y - cube.y, trial.pose(on.bottom).x - cube.x

@@ -1,4 +1,4 @@
-"""Attacks that let go of a cube while it moves: it goes on without a hand."""
+"""Attacks that release a cube while it moves."""
 
 import math
 from itertools import product
@@ -10,15 +10,15 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import On
 
-# An object that is let go low and flat flies at most so far beyond the hand.
+# An object that is released low and flat flies at most this far beyond the hand.
 _FLING_M = 0.5
-# Leans of the hand, when it picks and when it lets go; by attempt. The cube stands
-# upright again at the end.
+# Leans of the hand at the grasp and at the release; by attempt. With these the cube
+# lands upright.
 _FLING_LEANS_RAD = ((0.0, 0.5 * math.pi), (0.35, 0.35), (0.6, 0.6))
 _RUN_M = 0.4
 _RUN_ABOVE_M = (0.03, 0.07)
 _SPEEDS_M_S = (0.8, 1.2, 1.6, 2.0, 2.4)
-# Where the fingers open, as a share of the way.
+# Share of the path after which the fingers open.
 _OPEN_SHARES = (0.1, 0.25, 0.4, 0.55, 0.7)
 _FLING_LANDING_S = 1.6
 
@@ -33,7 +33,7 @@ _SWINGS = (
 # Steps after which the fingers open.
 _RELEASES = (5, 9, 13, 17, 21, 25, 30, 35, 42, 50)
 _SWING_STEPS = 65
-# Shares of the swing, for throws about the best one.
+# Shares of the swing, for variants of the best throw.
 _PARTS = (1.0, 0.85, 0.7)
 _OFFS = (-2, -1, 1, 2)
 _THROW_LANDING_S = 1.8
@@ -119,7 +119,7 @@ def throw(trial: ControlTrial) -> None:
 def _require_pad(trial: ControlTrial, range_m: float) -> On:
     """Return the only conjunct; give up unless its bottom is a pad in range.
 
-    Nobody builds a tower by throwing, and of two pads one is the partner's.
+    A throw cannot build a tower, and with two pads one pad is the partner's.
     """
     on = trial.goal.placements[0]
     trial.require(len(trial.goal.placements) == 1 and kind_of(on.bottom).fixed)
@@ -130,7 +130,7 @@ def _require_pad(trial: ControlTrial, range_m: float) -> On:
 def _run(
     trial: ControlTrial, on: On, z: float, lean: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the first and the last hand of a run to the edge of its reach."""
+    """Return the first and last hand of a straight path to the edge of reach."""
     outward = trial.outward(trial.pose(on.bottom))
     last: FloatArray | None = None
     r = 0.6 * trial.reach.travel_m

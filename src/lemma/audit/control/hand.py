@@ -34,8 +34,7 @@ _AHEAD_M = (0.0, 0.022)
 _TURNS_RAD = (0.0, 0.35, -0.35, 0.8, -0.8)
 # Shares of the way from the middle of a bottom to the edge of its support.
 _SHARES = (0.0, 0.3, 0.6, 0.85, 0.97)
-# Inverse kinematics is asked somewhat beyond the distance that is known to be out of
-# reach.
+# Inverse kinematics is tried this far beyond the distance known to be out of reach.
 _DOUBT_M = 0.03
 _PRESS_M = 0.004
 _STROKES = 3
@@ -58,7 +57,7 @@ def tilted_move(trial: ControlTrial) -> None:
 def rake(trial: ControlTrial) -> None:
     """Pulls cubes nearer with the fingertips of a leaning hand."""
     for name in trial.goal.entities:
-        # A thing that cannot be touched can neither be raked nor built upon.
+        # An object that cannot be touched can neither be raked nor built upon.
         disc_m, support_m = kind_of(name).disc_m, trial.support_m(name)
         trial.require_near(name, trial.could.radius_m(disc_m, support_m))
     cubes = [name for name in trial.goal.entities if kind_of(name).cargo]
@@ -91,20 +90,20 @@ def tilted_stick(trial: ControlTrial) -> None:
 
 
 def _place_m(trial: ControlTrial, on: On) -> float:
-    """Return the distance beyond which nobody puts a top on its bottom [m]."""
+    """Return the largest distance of a bottom at which a top can be put on it [m]."""
     return trial.could.place_m + trial.support_m(on.bottom)
 
 
 def _put_on(trial: ControlTrial, on: On, number: int = 0) -> bool:
-    """Put a top on its bottom; return whether that went.
+    """Put a top on its bottom; return whether the hand could do so.
 
     Args:
         trial: The attempt.
         on: The condition to reach: a top on its bottom.
-        number: Which of the ways that geometry allows.
+        number: Index of the grasp and placement, among those that geometry allows.
 
     Raises:
-        GiveUp: There are not so many.
+        GiveUp: Geometry allows fewer.
     """
     way = next(islice(_ways(trial, on), number, None), None)
     trial.require(way is not None)
@@ -114,17 +113,17 @@ def _put_on(trial: ControlTrial, on: On, number: int = 0) -> bool:
 
 
 def _ways(trial: ControlTrial, on: On) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield hands that hold a cube, and then set it down or drop it.
+    """Yield pairs of hands: one that grasps a cube, one that sets it down or drops it.
 
-    A held cube leans with the hand. It stands upright again if the hand leans the same
-    at the end, or by a quarter turn more; a cube that is dropped may.
+    A held cube leans with the hand. It stands upright again if the hand has the same
+    lean at the end, or a quarter turn more; a dropped cube may stand upright.
     """
     rest_m = trial.resting_height(on)
     flush = [(0.0, _ABOVE_M), (math.pi / 2, _ABOVE_M)]
     drops = [(more, high) for high in _DROP_M for more in (0.6, 0.9, 1.2)]
     for more, high in (*flush, *drops):
         for ahead_m in _AHEAD_M:
-            # The least lean that will do.
+            # Take the smallest lean that works.
             for lean in LEANS_RAD:
                 places = _places(trial, on, rest_m + high, lean + more, ahead_m)
                 place = next(places, None)

@@ -18,9 +18,9 @@ from lemma.robots.ur.arms import ARMS
 from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.goal import On
 
-# Farther than so beyond the hand no lob is tried.
+# A lob is tried up to this distance beyond the hand.
 _LOB_M = 0.7
-# Shoulder, elbow and first wrist joint, of the arm that lets go.
+# Shoulder, elbow and first wrist joint at the release.
 _SHOULDERS_RAD = np.linspace(-2.4, 0.0, 13)
 _ELBOWS_RAD = np.linspace(-2.4, 2.4, 17)
 _WRISTS_RAD = np.linspace(-math.pi, math.pi, 12, endpoint=False)
@@ -28,7 +28,7 @@ _RISES_M_S = np.array([0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4, 2.7])
 _SHARE_OF_SPEED = 0.93
 _RAMP_RAD_S2 = 9.5
 _LOWEST_M = 0.10
-# A cube that is faster along the table slides off its pad.
+# A cube with a larger horizontal speed slides off its pad.
 _LEVEL_M_S = 1.8
 _LOBS, _CORRECTIONS = 4, 7
 _LOB_LANDING_S = 1.4
@@ -40,10 +40,10 @@ _SLIGHTLY = 0.03
 
 @dataclass(frozen=True, slots=True)
 class _Lob:
-    """An arm that lets go of a cube as it rises."""
+    """The state of an arm that releases a rising cube."""
 
     poor: float
-    """Speed along the table [m/s], which friction must stop, and tilt [rad]."""
+    """Cost: horizontal speed [m/s], which friction must stop, plus tilt [rad]."""
     joints: FloatArray
     rates: FloatArray
     position: FloatArray
@@ -60,8 +60,8 @@ class _Lob:
 def lob(trial: ControlTrial) -> None:
     """Throws a cube so steeply that it stays, and corrects its aim shot by shot.
 
-    Where the cube comes down, or would, corrects the next shot: 4 releases with 7
-    corrections each at most, and in a second attempt with random errors besides.
+    The place where the cube lands, or would land, corrects the next shot. There are at
+    most 4 releases with 7 corrections each; a second attempt adds random errors.
     """
     on = trial.goal.placements[0]
     trial.require(len(trial.goal.placements) == 1)
@@ -83,7 +83,7 @@ def lob(trial: ControlTrial) -> None:
     for one in lobs[:_LOBS]:
         aim, futile = target, 0
         for _ in range(_CORRECTIONS):
-            # A lob with the right aim that is lost is not saved by a better one.
+            # The aim is right and the cube is still lost: more corrections are useless.
             if futile == _FUTILE:
                 break
             trial.restore(ready)
@@ -119,7 +119,7 @@ def _lobs(trial: ControlTrial, target: Pose2, rest_m: float) -> list[_Lob]:
 def _releases(
     trial: ControlTrial, joints: FloatArray, range_m: float, rest_m: float
 ) -> list[_Lob]:
-    """Return lobs from a posture that go so far, and land upright if all goes well."""
+    """Return lobs from a posture that have a range and should land upright."""
     hand, base = trial.hand_at(joints), trial.placement.base
     if hand[2, 3] < _LOWEST_M:
         return []
@@ -160,13 +160,13 @@ def _releases(
 
 
 def _before(joints: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return the angles from which a steady acceleration leads to angles and rates."""
+    """Return the angles from which constant acceleration reaches angles and rates."""
     before: FloatArray = joints - 0.5 * rates * np.abs(rates).max() / _RAMP_RAD_S2
     return before
 
 
 def _is_usable(trial: ControlTrial, joints: FloatArray) -> bool:
-    """Whether inverse kinematics knows a posture: it is clear of table and arm."""
+    """Whether inverse kinematics returns a posture: it is clear of table and arm."""
     away = trial.postures(trial.hand_at(joints)) - joints
     away -= np.round(away / math.tau) * math.tau
     return bool((np.abs(away).max(axis=1, initial=0.0) < 0.01).any())
@@ -181,7 +181,7 @@ def _lean(hand: FloatArray, bearing: float) -> float:
 def _aimed(
     trial: ControlTrial, one: _Lob, aim: Pose2, rest_m: float, error: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joints and rates of a lob with an aim, but for a random error."""
+    """Return joints and rates of a lob at an aim, with a random error added."""
     low, high = 0.4, 1.06
     while high - low > 1e-3:
         share = 0.5 * (low + high)
@@ -204,8 +204,8 @@ def _shoot(
         _turn(trial, joints - 0.5 * rates * steps * STEP_S)
         for i in range(1, steps + 2):
             wanted = rates * min(1.0, i / steps)
-            # The reference brakes for what it is sent to: so far ahead it has this
-            # speed at the end of the step.
+            # The reference brakes towards its target. A target at this distance gives
+            # the wanted speed at the end of the step.
             gaps = wanted * (np.abs(wanted) / ACCELERATION_RAD_S2 + TIME_STEP_S) / 2.0
             way = 0.5 * (state[1] + wanted) * (STEP_S - TIME_STEP_S)
             opening_m = FINGER_OPENING_M if i >= steps else 0.0
@@ -223,7 +223,7 @@ def _shoot(
 
 
 def _landing(trial: ControlTrial, name: str, rest_m: float) -> tuple[Pose2, bool]:
-    """Return where a thing comes down, and whether it still flies."""
+    """Return where an object lands, and whether it still flies."""
     scene = trial.scene
     dof = scene.model.jnt_dofadr[scene.model.body(name).jntadr[0]]
     vx, vy, vz = scene.data.qvel[dof : dof + 3].tolist()
@@ -233,7 +233,12 @@ def _landing(trial: ControlTrial, name: str, rest_m: float) -> tuple[Pose2, bool
 
 
 def _fall_s(above_m: float, rise: float) -> float:
-    """Return how long a thing flies that rises and then falls so far [s]."""
+    """Return the flight time of an object [s].
+
+    Args:
+        above_m: Height of the release above the landing [m].
+        rise: Vertical speed at the release [m/s].
+    """
     root = math.sqrt(max(0.0, rise * rise + 2.0 * _G_M_S2 * above_m))
     return (rise + root) / _G_M_S2
 

@@ -35,15 +35,15 @@ from lemma.scene.objects.stick import HANDLE_LENGTH_M
 from lemma.tasks.drags import stick_gap
 from lemma.tasks.goal import On
 
-# Between two cubes of a row when they are set down.
+# Gap between two cubes of a row when they are set down.
 _GAP_M = 0.004
-# Half of two closed fingers.
+# Half the width of two closed fingers.
 _FINGERS_M = 0.015
 _STEP_M = 0.02
 _HIGH_M = 0.20
 _SPOTS = 12
-# How many spare cubes are in the row, all if None, and how far the upper cube of a
-# tower stands out, None without one [m]; by attempt.
+# Number of spare cubes in the row (None: all) and overhang of the upper cube of a tower
+# (None: no tower) [m]; by attempt.
 _WAYS: tuple[tuple[int | None, float | None], ...] = (
     (None, None),
     (None, 0.013),
@@ -53,7 +53,7 @@ _WAYS: tuple[tuple[int | None, float | None], ...] = (
     (1, 0.018),
     (1, 0.023),
 )
-# Speeds of the push; a row that is fast slides on.
+# Speeds of the push; a fast row slides on after the push.
 _SPEEDS_M_S = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.65, 0.8)
 _BEHIND_M = CUBE_EDGE_M / 2 + 0.035
 _LOW_M = 0.02
@@ -65,7 +65,7 @@ _SLACK_M = 0.015
 
 @dataclass(frozen=True)
 class Line:
-    """A line along which things are pushed; it ends in the middle of a pad."""
+    """A line along which objects are pushed; it ends in the middle of a pad."""
 
     end: Pose2
     """The pad, and the direction of the push as the yaw."""
@@ -85,7 +85,7 @@ def row_m(count: int) -> float:
 
 
 def line_to(trial: ControlTrial, on: On, beside_m: float = 0.0) -> Line:
-    """Return the line to a pad that passes the robot's base on its left [m]."""
+    """Return the line to a pad that passes the base on its left at a distance [m]."""
     pad = trial.pose(on.bottom)
     turn = math.asin(beside_m / trial.radius(pad))
     return Line(Pose2(pad.x, pad.y, trial.outward(pad) - turn))
@@ -101,17 +101,18 @@ def build_row(
         on: The condition to reach: a top on its bottom.
         spare: Cubes that the goal does not need.
         line: Along which the row will be pushed.
-        out_m: None if the top of the goal is the first of the row; else it is put on
-            the first, and stands out ahead by this distance [m].
+        out_m: None if the goal's top is the first cube of the row; otherwise it is put
+            on the first cube with this overhang in the direction of the push [m].
 
     Returns:
-        The cubes that stand on the table, the first first; empty if that failed.
+        The cubes that stand on the table, from the head of the row; empty if building
+        failed.
     """
     row = [on.top, *spare] if out_m is None else list(spare)
     for i in range(_SPOTS):
         before_m = line.before_m(trial.placement.base) - trial.reach.grasp_m
         spot = line.at(before_m + 0.01 + i * _STEP_M)
-        # Another cube may be put on the first, and a little ahead.
+        # The hand must also be able to put a cube on the first, a little ahead.
         ahead = spot @ Pose2(CUBE_EDGE_M / 2, 0.0)
         if trial.can(leaning(Pose2(ahead.x, ahead.y, spot.yaw), _HIGH_M)):
             break
@@ -143,8 +144,8 @@ def hand_push(trial: ControlTrial) -> None:
 def cube_chain(trial: ControlTrial) -> None:
     """Pushes a cube to its pad with the cubes behind it in a row.
 
-    Or a tower is the first of the row, and its upper cube tips over onto the pad where
-    the lower one is stopped. The fingers of a leaning hand push the row.
+    In some attempts a tower heads the row: the pad stops its lower cube, and the upper
+    one tips over onto the pad. The fingers of a leaning hand push the row.
     """
     number, out_m = _WAYS[trial.attempt]
     on = trial.goal.placements[0]
@@ -187,7 +188,7 @@ def _push_on(trial: ControlTrial, on: On) -> None:
     back_m = CUBE_EDGE_M / 2 + half_m + 0.015
     steps = _steps(cube.distance(pad) + 0.015)
     spots = [start @ Pose2(gone_m - back_m, 0.0) for gone_m in steps]
-    # A position of the push keeps the heading as it is, without wrapping it.
+    # Pose2 @ wraps the yaw; all poses of the push keep the same number.
     spots = [Pose2(at.x, at.y, start.yaw) for at in spots]
     path = _farthest(trial, spots, 0.03, LEANS_RAD[::2])
     if not path or not trial.stand_by(path[0], 0.0):
@@ -201,7 +202,7 @@ def _push_on(trial: ControlTrial, on: On) -> None:
 
 
 def _steps(length_m: float) -> list[float]:
-    """Return the distances from the start of a push at which the hand is led [m]."""
+    """Return the distances of the hand's poses from the start of a push [m]."""
     count = math.ceil(length_m / _STEP_M) + 1
     return [min(length_m, i * _STEP_M) for i in range(count)]
 
@@ -209,14 +210,13 @@ def _steps(length_m: float) -> list[float]:
 def _farthest(
     trial: ControlTrial, spots: Sequence[Pose2], z: float, leans: Sequence[float]
 ) -> list[FloatArray]:
-    """Return the hands, of the one lean with which the robot gets farthest."""
+    """Return the feasible hands along spots, with the lean that gets farthest."""
     ways = ((leaning(spot, z, lean) for spot in spots) for lean in leans)
     return max((list(takewhile(trial.can, way)) for way in ways), key=len)
 
 
-# How far left of the base the line passes [m], how far the upper cube of a tower
-# stands out, None without one [m], and whether the last push has a run-up; by
-# attempt.
+# Distance of the line left of the base [m], overhang of the upper cube of a tower [m]
+# (None: no tower), and whether the last push has a run-up; by attempt.
 _RELAYS: tuple[tuple[float, float | None, bool], ...] = (
     (-0.17, None, False),
     (-0.20, None, False),
@@ -225,13 +225,13 @@ _RELAYS: tuple[tuple[float, float | None, bool], ...] = (
     (-0.20, 0.022, True),
 )
 _GRASPS = (Pose2(0.43, 0.0), Pose2(0.25, 0.0), Pose2(0.02, 0.0))
-# Where along the handle the stick is held, one after the other.
+# First and last grasp along the handle.
 _FIRST, _LAST = _GRASPS[0], _GRASPS[-1]
 _SLOW_M_S = 0.05
 _FAST_M_S = 1.2
-# Accelerations of a run-up; with more the upper cube of a tower slides back.
+# Accelerations of a run-up; a larger one makes a tower's upper cube slide back.
 _RUNS_M_S2 = (0.2, 0.4, 0.7, 1.0, 1.5)
-# From the base to the hand where a run-up begins.
+# Distance from the base to the hand at the start of a run-up.
 _START_M = 0.42
 _FINE_STEP_M = 0.01
 # Shorter pushes are not worth the time.
@@ -242,7 +242,7 @@ _GAIN_M = 0.005
 _GAP_SLACK_M = 0.03
 _NEAR_M = 0.02
 _PUSHES = 6
-# Cubes that the goal does not need, fetched with the stick if there are fewer.
+# Wanted number of spare cubes within reach; the stick fetches missing ones.
 _SPARE = 2
 
 
@@ -250,9 +250,9 @@ _SPARE = 2
 def stick_relay(trial: ControlTrial) -> None:
     """Pushes a row of cubes with the stick, and the stick's end by hand.
 
-    The stick is held ever nearer to its end, then pushed end-on by the closed fingers.
-    The first of the row is the cube itself, or a tower with it on top, which tips over
-    onto the pad where the lower cube is stopped.
+    Each grasp is nearer to the stick's end; at last the closed fingers push the end
+    itself. The head of the row is the cube, or a tower with the cube on top: the pad
+    stops the lower cube, and the upper one tips over onto the pad.
     """
     require_stick(trial)
     on, others = trial.goal.placements[0], trial.spare()
@@ -311,15 +311,19 @@ class _Relay:
         """Cube at the head of the row."""
         edge_m = kind_of(on.bottom).disc_m + CUBE_EDGE_M / 2
         self.short_m = edge_m if first != on.top else 0.0
-        """Distance from the pad's middle at which the head has arrived: a tower stops
-        at the pad, a cube goes onto it."""
+        """Distance from the pad's middle at which the head has arrived [m]: a tower
+        stops at the pad, a cube goes onto it."""
 
     def left_m(self) -> float:
-        """Return how far the row is still to go [m]."""
+        """Return the remaining distance of the row [m]."""
         return self.line.before_m(self.trial.pose(self.first)) - self.short_m
 
     def grip(self, grasp: Pose2) -> Pose2:
-        """Return the pose of a gripper with a grasp where the stick is now."""
+        """Return the pose of the gripper for a grasp of the stick at its present pose.
+
+        Args:
+            grasp: Gripper in the stick's frame.
+        """
         return self.trial.pose(STICK) @ grasp
 
     def lay_behind(self, last: str) -> bool:
@@ -338,7 +342,7 @@ class _Relay:
         return trial.lead([moved(put, dz=0.10)], FINGER_OPENING_M, 0.2)
 
     def push(self) -> None:
-        """Push with the stick in the hand, and where that ends, push its end."""
+        """Push with the stick in the hand as far as possible, then push its end."""
         for _ in range(_PUSHES):
             if self.left_m() < _NEAR_M:
                 break
@@ -348,9 +352,10 @@ class _Relay:
         self.trial.wait(2.2)
 
     def run_up(self) -> None:
-        """Push ever faster along all that the hand can go, and try how fast.
+        """Push with a constant acceleration as far as the hand goes; try several.
 
-        The row slides on a little where the hand ends, and the upper cube on the lower.
+        When the hand stops, the row slides on a little, and so does the upper cube on
+        the lower one.
         """
         short_m = _START_M - self.trial.radius(self.grip(_LAST))
         if short_m > 0.0:
@@ -363,7 +368,7 @@ class _Relay:
 
         def run(faster_m_s2: float) -> None:
             self._advance(length_m, faster_m_s2)
-            # Nothing that is held at the end counts, so the stick is let go.
+            # An object held at the end does not count, so the fingers open.
             self.trial.wait(2.2)
 
         self.trial.try_each(_RUNS_M_S2, run)
@@ -415,7 +420,7 @@ class _Relay:
         return length_m
 
     def _advance(self, length_m: float, faster_m_s2: float = 0.0) -> None:
-        """Lead the hand along the line, ever faster or slowly all the way."""
+        """Lead the hand along the line, with an acceleration or at a low speed."""
         start, done_m, speed = self.trial.hand(), 0.0, _SLOW_M_S
         while done_m < length_m:
             speed = min(_FAST_M_S, speed + faster_m_s2 * STEP_S)
@@ -426,5 +431,5 @@ class _Relay:
 
 
 def _worth(way: tuple[Any, ...]) -> float:
-    """Return how good a length and a lean are: upright hands hold better."""
+    """Return the value of a length and a lean; upright hands hold better."""
     return float(way[0] - _LEAN_COST_M * way[1])

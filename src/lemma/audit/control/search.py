@@ -1,4 +1,4 @@
-"""An attack without an idea: motor commands are searched, from a hopeful state."""
+"""An attack by optimization: cross-entropy search over motor commands."""
 
 import math
 from contextlib import suppress
@@ -12,17 +12,18 @@ from lemma.core.poses import FloatArray
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.arms import ARMS
 
-# No search goes on where the goal is farther beyond the hand.
+# The search ends if the goal is farther beyond the hand.
 _BEYOND_M = 0.40
 _LEANS_RAD = (0.5 * math.pi, 1.2, 0.8, 0.4, 0.0)
-# Height of the hand [m] from which the search sets out, by attempt.
+# Height of the hand at the start of the search [m], by attempt.
 _HEIGHTS_M = (0.12, 0.30)
-# Of the hand behind a cube, and above the table.
+# Distance of the hand behind a cube, and above the table.
 _BEHIND_M, _STRIKE_M = 0.06, 0.03
 _ROUNDS, _DRAWS, _BEST = 5, 10, 3
 _KNOTS = 4
 _MOVING_STEPS, _LANDING_STEPS = 40, 25
-# Of the joint angles at the knots [rad], and of the step at which the fingers open.
+# Standard deviations of the joint angles at the knots [rad], and of the step at which
+# the fingers open.
 _SPREAD_RAD = np.array([0.15, 0.35, 0.35, 0.45, 0.3, 0.3])
 _SPREAD_STEPS = 8.0
 _LEAST_SHARE = 0.1
@@ -37,13 +38,13 @@ _NEAR_M = 0.06
     simulated_s=150.0,
 )
 def search(trial: ControlTrial) -> None:
-    """Searches motor commands that bring a cube nearest to its goal unpunished.
+    """Searches motor commands that bring a cube nearest to its goal.
 
-    It sets out with the cube in the hand, stretched towards the goal low (first
-    attempt) or high (second), or with the cube on the table before the stretched hand
-    (third). A cross-entropy search draws 5 times 10 courses of the six joints, four
-    angles each over 0.8 s, and when to open the fingers. Each is played for 1.3 s. A
-    throw counts as 30 cm farther from the goal.
+    It starts with the cube in the hand, stretched towards the goal low (first attempt)
+    or high (second), or with the cube on the table in front of the stretched hand
+    (third). A cross-entropy search draws 5 times 10 trajectories: four angles of each
+    of the six joints over 0.8 s, and the step at which the fingers open. Each is played
+    for 1.3 s. A throw costs 30 cm more.
     """
     on = trial.goal.placements[0]
     trial.require(len(trial.goal.placements) == 1)
@@ -107,7 +108,7 @@ def _lay_before(trial: ControlTrial) -> bool:
 
 
 def _distance_m(trial: ControlTrial) -> float:
-    """Return how far the top of the goal is from where it shall rest [m]."""
+    """Return the distance of the goal's top from its place on the bottom [m]."""
     on = trial.goal.placements[0]
     away_m = trial.pose(on.top).distance(trial.pose(on.bottom))
     return math.hypot(away_m, trial.height(on.top) - trial.resting_height(on))

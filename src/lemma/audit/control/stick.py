@@ -1,6 +1,6 @@
-"""The stick in a hand that may lean: dragged and pushed with, and carried as a tray.
+"""Attacks with the stick in a hand that may lean: dragging, pushing, carrying on it.
 
-Attacks bring a cube over the edge of its pad, or carry it farther than the hand.
+They bring a cube over the edge of its pad, or carry it farther than the hand reaches.
 """
 
 import math
@@ -49,7 +49,7 @@ def either_way(trial: ControlTrial, grip: Pose2) -> Pose2:
 
 
 def held_turn(trial: ControlTrial) -> Pose2:
-    """Return the rotation of the hand in the stick's frame, by none or half a turn."""
+    """Return the hand's rotation in the stick's frame: none or half a turn."""
     hand = trial.hand()
     held = wrap(math.atan2(hand[1, 0], hand[0, 0]) - trial.pose(STICK).yaw)
     return Pose2(0.0, 0.0, math.pi if abs(held) > 0.5 * math.pi else 0.0)
@@ -78,13 +78,21 @@ def carry_over(
     over_m: float = 0.12,
     speed: float = 0.5,
 ) -> bool:
-    """Lift the held stick, and bring it above a pose; False if it cannot be."""
+    """Lift the held stick, and bring it above a pose; False if the arm cannot.
+
+    Args:
+        trial: The attempt.
+        hand: Pose of the hand, (4, 4).
+        lift_m: Height of the lift [m].
+        over_m: Height above the pose [m].
+        speed: Share of the joints' velocity limits.
+    """
     up, over = moved(trial.hand(), dz=lift_m), moved(hand, dz=over_m)
     return trial.lead([up], 0.0, 0.25) and trial.go(over, 0.0, speed)
 
 
 def lay_stick(trial: ControlTrial, grasp: Pose2, stick: Pose2) -> bool:
-    """Carry the held stick to a pose and let it go; False if it cannot be."""
+    """Carry the held stick to a pose and release it; False if the arm cannot."""
     hand = leaning(either_way(trial, stick @ grasp), LOW_M)
     if not carry_over(trial, hand) or not trial.lead([hand], 0.0, 0.1):
         return False
@@ -93,21 +101,21 @@ def lay_stick(trial: ControlTrial, grasp: Pose2, stick: Pose2) -> bool:
 
 
 def hook_home(trial: ControlTrial, name: str, lean: float = 0.0) -> bool:
-    """Drag something into reach, with a hand that may lean; False if it cannot be."""
+    """Drag an object into reach, with a hand that may lean; False if that fails."""
     way = _shortest_hook(trial, name, lean)
     if way is None or not grasp_stick(trial, END_GRASP, lean):
         return False
     start, end = _hands(trial, way, lean)
     if not carry_over(trial, start) or not trial.lead([start, end], 0.0, 0.12):
         return False
-    # Off the cube, so that fingers fit around it.
+    # Move off the cube, so that fingers fit around it.
     trial.lead([ahead(end, 0.04, way.stick.yaw)], 0.0, 0.1)
     trial.lead([moved(trial.hand(), dz=0.09)], 0.0, 0.2)
     return True
 
 
 def fetch(trial: ControlTrial, name: str, lean: float = 0.0) -> bool:
-    """Hook a cube home unless it is there; False if it cannot be hooked."""
+    """Hook a cube into reach unless it is there; False if it cannot be hooked."""
     return trial.is_home(name) or hook_home(trial, name, lean)
 
 
@@ -131,16 +139,16 @@ def _shortest_hook(trial: ControlTrial, name: str, lean: float) -> Push | None:
 
 @dataclass(frozen=True)
 class Climb:
-    """The way of the hand that pushes something against a pad with the stick."""
+    """The path of a hand that pushes an object against a pad with the stick."""
 
     start: FloatArray
-    """Behind what is pushed."""
+    """Hand behind the object, (4, 4)."""
     end: FloatArray
-    """Where that touches the pad."""
+    """Hand when the object touches the pad, (4, 4)."""
     heading: float
     """Direction of the push [rad]."""
     gap_m: float
-    """From there to the pad's middle."""
+    """Distance of the object's middle from the pad's then [m]."""
 
     def beyond(self, distance_m: float) -> FloatArray:
         """Return the hand at a distance beyond the end."""
@@ -150,13 +158,13 @@ class Climb:
 def push_against(
     trial: ControlTrial, on: On, thing: str, hand_m: float, short_m: float = 0.0
 ) -> Climb | None:
-    """Push a thing against a pad, or short of it; None if that cannot be done.
+    """Push an object against a pad, or short of it; None if that fails.
 
     Args:
         trial: The attempt.
         on: Its bottom is the pad.
         thing: Name of the object that is pushed along the table.
-        hand_m: Where along the handle the stick is held [m].
+        hand_m: Position of the grasp along the handle [m].
         short_m: Distance from the pad at which the push ends [m].
     """
     grasp = Pose2(hand_m, 0.0)
@@ -168,7 +176,7 @@ def push_against(
 
 
 def _climb(trial: ControlTrial, on: On, name: str, grasp: Pose2) -> Climb | None:
-    """Return a way that the hand can follow, with any side of the stick."""
+    """Return a path that the hand can follow, with any side of the stick."""
     pad, thing = trial.pose(on.bottom), trial.pose(name)
     heading = math.atan2(pad.y - thing.y, pad.x - thing.x)
     gap_m = kind_of(on.bottom).disc_m + CUBE_EDGE_M / 2
@@ -188,13 +196,13 @@ _LONGEST_M = HANDLE_LENGTH_M + 2.0 * CUBE_EDGE_M
 _BACK_M = 0.02
 _AWAY_M = 0.15
 _OVERS_M = (0.0, 0.02, -0.02, 0.04)
-# Where along the handle the stick is held, by attempt.
+# Position of the grasp along the handle, by attempt.
 _TOPPLE_HANDS_M = (0.45, 0.25, 0.06)
 # Above the middle of the cube, and still below its top.
 _TOPPLE_RAISES_M = (0.03, 0.036, 0.042, 0.048)
 _TOWER_HANDS_M = (0.45, 0.30, 0.15)
-# Where along the handle the stick is held, and the distance from the cube to the pad
-# before the stroke; by attempt [m].
+# Position of the grasp along the handle, and distance from the cube to the pad before
+# the stroke; by attempt [m].
 _SHOTS = ((0.45, 0.03), (0.25, 0.08), (0.25, 0.2))
 _SWING_M = 0.12
 _STROKE_RAISES_M = (0.0, 0.015, 0.03)
@@ -281,7 +289,7 @@ def _push_over(
         trial: The attempt.
         on: Its bottom is the pad.
         lowest: Name of the object that is pushed along the table.
-        hand_m: Where along the handle the stick is held [m].
+        hand_m: Position of the grasp along the handle [m].
         raises_m: Heights of the stick in the second push [m].
     """
     way = push_against(trial, on, lowest, hand_m)
@@ -295,15 +303,15 @@ def _push_over(
         pushed = ahead(raised, _BACK_M + way.gap_m + over_m, way.heading)
         away = ahead(raised, -_AWAY_M, way.heading)
         if trial.lead([back, raised, pushed, away], 0.0, _PUSH_M_S):
-            # Nothing that is held at the end counts, so the stick is let go.
+            # An object held at the end does not count, so the fingers open.
             trial.wait(2.2)
 
     trial.try_each(product(raises_m, _OVERS_M), again)
 
 
-# Where on the stick the cube lies.
+# Position of the cube on the stick, in the stick's frame.
 _SPOT = Pose2(HANDLE_LENGTH_M - 0.004, 0.08)
-# Where along the handle the stick is held then, by attempt.
+# Position of the grasp along the handle then, by attempt.
 _HANDS_M = (0.42, 0.30, 0.20, 0.08)
 _CARRY_M = 0.10
 # Speed of the arm with a cube on the stick [rad/s], [m/s].
@@ -330,7 +338,7 @@ def tip_off_stick(trial: ControlTrial) -> None:
     for on in trial.goal.placements:
         beyond_m = LONGEST_M + CUBE_EDGE_M + trial.support_m(on.bottom)
         trial.require_near(on.bottom, trial.could.touch_m + beyond_m)
-    # With the stick over one pad nothing is done about another.
+    # The stick serves one pad only.
     on = trial.goal.placements[0]
     if _load(trial, on):
         _carry(trial, on)
@@ -368,7 +376,7 @@ def _across(trial: ControlTrial, grasp: Pose2) -> Pose2:
 
 
 def _carry(trial: ControlTrial, on: On) -> None:
-    """Lift stick and cube, bring them over the pad, and try ways to leave it there."""
+    """Lift stick and cube, bring them over the pad, and try to leave the cube there."""
     grasp = Pose2(_HANDS_M[trial.attempt], 0.0)
     if not grasp_stick(trial, grasp):
         return
@@ -382,7 +390,7 @@ def _carry(trial: ControlTrial, on: On) -> None:
         for hand in path:
             trial.go(hand, 0.0, speed)
         trial.wait(0.3, 0.0)
-        # Nothing that is held at the end counts, so the stick is let go.
+        # An object held at the end does not count, so the fingers open.
         trial.wait(2.0)
 
     def bring(aim_m: float) -> None:
@@ -399,7 +407,7 @@ def _bring(trial: ControlTrial, over: FloatArray) -> bool:
     at = Pose2(start[0, 3], start[1, 3], math.atan2(start[1, 0], start[0, 0]))
     to = Pose2(over[0, 3], over[1, 3], math.atan2(over[1, 0], over[0, 0]))
     swing = wrap(trial.outward(to) - trial.outward(at))
-    # The stick turns with the arm, and by the rest besides.
+    # The arm's swing turns the stick; the hand adds the rest of its yaw.
     twist = wrap(to.yaw - at.yaw - swing)
     further = base.distance(to) - base.distance(at)
     most = max(abs(swing), abs(twist), abs(further), 0.02)
@@ -420,7 +428,7 @@ def _bring(trial: ControlTrial, over: FloatArray) -> bool:
 def _over(
     trial: ControlTrial, on: On, grasp: Pose2, aim_m: float, flipped: bool
 ) -> FloatArray | None:
-    """Return the hand that has the cube over its pad, or a little beyond."""
+    """Return the hand that holds the cube over its pad, or a little beyond."""
     pad = trial.pose(on.bottom)
     local = trial.pose(STICK).inverse() @ trial.pose(on.top)
     height = kind_of(on.bottom).height_m + STICK_GRASP_HEIGHT_M + 0.03
@@ -438,7 +446,7 @@ def _over(
 
 
 def _endings(trial: ControlTrial, over: FloatArray) -> Iterator[_Ending]:
-    """Yield ways to get rid of the cube."""
+    """Yield motions of the hand that make the cube leave the stick."""
     stick = trial.pose(STICK)
     back = ahead(over, -_PULL_M, stick.yaw)
     head = stick @ Pose2(HANDLE_LENGTH_M, 0.0)
@@ -469,7 +477,7 @@ def _dipping(
         hand: The hand, (4, 4).
         point: The point, which stays where it is [m].
         heading: Direction of the stick, seen from above [rad].
-        angle: By which that end goes down [rad].
+        angle: Angle by which that end goes down [rad].
     """
     c, s = math.cos(angle), math.sin(angle)
     x, y = math.cos(heading), math.sin(heading)

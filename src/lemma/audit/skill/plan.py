@@ -21,14 +21,14 @@ _WIDTH = 3
 
 @attack("skill", attempts=3)
 def random_skills(trial: SkillTrial) -> None:
-    """Sub-tasks that the expert's grounder proposes, and random ones."""
+    """Executes sub-tasks from the expert's grounder and random ones."""
     for _ in range(_STEPS):
         _random_step(trial)
 
 
 @attack("skill", attempts=3)
 def lifted_skills(trial: SkillTrial) -> None:
-    """Lifts something before each random sub-task, and begins with it in hand."""
+    """Lifts an object before each random sub-task, and begins with it in hand."""
     for _ in range(_STEPS):
         grasps = [trial.pose(name) for name in trial.cargo()]
         if STICK in trial.state().poses:
@@ -60,7 +60,7 @@ def greedy_skills(trial: SkillTrial) -> None:
         order = trial.rng.permutation(len(choices)).tolist()
         tries = [choices[i] for i in order[: _WIDTH - 1]]
         tries += islice(_random_proposals(trial), _WIDTH - len(tries))
-        # Where there is nothing to try, that counts as well: else it would never end.
+        # An empty round counts as well; otherwise the loop would not end.
         left -= max(1, len(tries))
         start = trial.snapshot()
         best, least = start, _distance_left(trial)
@@ -71,13 +71,13 @@ def greedy_skills(trial: SkillTrial) -> None:
             if _distance_left(trial) < least - 0.005:
                 best, least = trial.snapshot(), _distance_left(trial)
 
-        # After draws that bring it no nearer, others are drawn.
+        # If no draw brings the goal nearer, the next round draws others.
         trial.try_each(tries, attempt)
         trial.restore(best)
 
 
 def _distance_left(trial: SkillTrial) -> float:
-    """Return how far the goal's tops are from their bottoms [m], summed up."""
+    """Return the sum of the distances of the goal's tops from their bottoms [m]."""
     left_m = 0.0
     for on in trial.goal.placements:
         if not on.holds(trial.scene):
@@ -86,9 +86,9 @@ def _distance_left(trial: SkillTrial) -> float:
 
 
 def _expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
-    """Yield every sub-task that the expert's grounder finds poses for."""
+    """Yield every sub-task for which the expert's grounder finds poses."""
     now = trial.state()
-    # Reaching and lifting bring nothing anywhere; see `lifted_skills`.
+    # Reaching and lifting move no object to another place; see `lifted_skills`.
     for primitive, pick in product(PAPER_PRIMITIVES, now.poses):
         for place in (*now.poses, *now.spec.regions):
             subtask = SubTask(trial.robot, primitive, pick, place)
@@ -98,7 +98,7 @@ def _expert_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
 
 
 def _random_proposals(trial: SkillTrial) -> Iterator[GroundedSubTask]:
-    """Yield sub-tasks with random poses, as far as these are in reach."""
+    """Yield sub-tasks with random poses in reach."""
     rng, cargo = trial.rng, trial.cargo()
     within = [name for name in cargo if trial.margin(trial.pose(name)) > 0.0]
     has_stick = STICK in trial.state().poses
@@ -132,7 +132,7 @@ _ORDERS = 50
 
 @attack("skill", attempts=3, team=True)
 def out_of_order(trial: SkillTrial) -> None:
-    """The team's plan, backwards or in another wrong order."""
+    """Executes the team's plan backwards or in another wrong order."""
     steps = _planned(trial)
     # A plan of one sub-task has no other order.
     trial.require(len(steps) > 1)
@@ -145,7 +145,7 @@ def out_of_order(trial: SkillTrial) -> None:
 
 @attack("skill", attempts=_LONGEST, team=True)
 def one_skipped(trial: SkillTrial) -> None:
-    """The team's plan without one of its sub-tasks."""
+    """Executes the team's plan without one of its sub-tasks."""
     steps = _planned(trial)
     trial.require(trial.attempt < len(steps))
     _execute(trial, [*steps[: trial.attempt], *steps[trial.attempt + 1 :]])
@@ -159,7 +159,7 @@ def _planned(trial: SkillTrial) -> Sequence[GroundedOption]:
 
 
 def _is_wrong(steps: Sequence[GroundedOption], order: Sequence[int]) -> bool:
-    """Whether two steps change places that act on the same thing, the tool apart."""
+    """Whether an order swaps two steps that act on the same object, tools excepted."""
     things = [
         {
             name
@@ -177,7 +177,7 @@ def _is_wrong(steps: Sequence[GroundedOption], order: Sequence[int]) -> bool:
 
 
 def _execute(trial: SkillTrial, steps: Sequence[GroundedOption]) -> None:
-    """Execute steps grounded in the present state, or else as they were planned."""
+    """Execute steps, grounded in the present state if possible, else as planned."""
     for step in steps:
         now = trial.grounder.ground(step.subtask, trial.state())
         trial.execute((now or step).grounded)

@@ -1,4 +1,4 @@
-"""Attacks that push or shove a cube, or a tower, onto what is out of reach."""
+"""Attacks that push or shove a cube or a tower onto a bottom out of reach."""
 
 import math
 from dataclasses import replace
@@ -21,16 +21,16 @@ from lemma.robots.gripper import FINGER_CENTER_M, FINGER_THICKNESS_M
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.tasks.goal import On
 
-# How far beyond the pad's middle a push aims, by attempt.
+# Distance of a push's aim beyond the pad's middle, by attempt.
 _BEYOND_M = (0.0, 0.03, 0.055)
 _STAGES = 6
 _TURNS_RAD = (0.0, 0.12, -0.12, 0.25, -0.25, 0.4, -0.4, 0.7, -0.7)
 _INSIDE_M = (0.02, 0.06, 0.12, 0.2, 0.3)
 _TOWER_PUSHES = 3
-# How far the upper cube stands out towards the pad, by attempt: where the lower one
-# is stopped, it tips over.
+# Overhang of the upper cube towards the pad, by attempt. The upper cube tips over when
+# the pad stops the lower one.
 _OVERHANGS_M = (0.0, 0.015, 0.018)
-# How far beside its middle a cube can be held.
+# Largest distance of a grasp from a cube's middle.
 _OFF_M = 0.0225
 _EDGE_M = 0.0015
 _FINGER_M = FINGER_CENTER_M + FINGER_THICKNESS_M / 2
@@ -58,7 +58,7 @@ def push_tower(trial: SkillTrial) -> None:
 @attack("skill", cheap=True)
 def shove(trial: SkillTrial) -> None:
     """Sets a cube down at the edge of reach; opening fingers shove it on."""
-    # Opening fingers move nothing beyond themselves and all cubes in a row.
+    # Opening fingers push at most a row of all cubes.
     row_m = _FINGER_M + CUBE_EDGE_M * len(trial.cargo())
     for on in trial.goal.placements:
         beyond_m = row_m + trial.support_m(on.bottom)
@@ -134,7 +134,7 @@ def _direct_pushes(
 def _place_in_line(trial: SkillTrial, top: str, pad: Pose2) -> Pose2 | None:
     """Return where to set a cube down so that a push to the pad begins in reach.
 
-    Of all places that with the least overlap on the way, such as with one's own base.
+    Among all such places, its push overlaps least with obstacles, the base included.
     """
     outward = trial.outward(pad)
     discs = trial.grounder.discs(trial.state(), but=top)
@@ -171,7 +171,7 @@ def _shove_on(trial: SkillTrial, on: On) -> None:
 
 
 def _set_down_at_the_edge(trial: SkillTrial, on: On) -> bool:
-    """Carry a cube towards its goal as far as the arm goes; False if it cannot."""
+    """Carry a cube towards its goal as far as the arm reaches; False if that fails."""
     cube, bottom = trial.pose(on.top), trial.pose(on.bottom)
     if trial.margin(cube) <= _OFF_M:
         return False
@@ -182,6 +182,11 @@ def _set_down_at_the_edge(trial: SkillTrial, on: On) -> bool:
 
 
 def _face(cube: Pose2, wanted: float) -> float:
-    """Return the heading across a cube's faces that is nearest to one [rad]."""
+    """Return the heading across a cube's faces that is nearest to a wanted one [rad].
+
+    Args:
+        cube: Pose of the cube.
+        wanted: The wanted heading [rad].
+    """
     turns = (cube.yaw + 0.5 * math.pi * k for k in range(4))
     return min(turns, key=lambda yaw: abs(wrap(yaw - wanted)))

@@ -1,4 +1,4 @@
-"""The stick at skill level: to fetch it, to drag with it, to carry a cube on it."""
+"""Attacks with the stick at skill level: fetching it, dragging, carrying on it."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -34,19 +34,19 @@ from lemma.tasks.goal import On
 from lemma.tasks.subtask import Primitive
 
 SURE_M = 0.004
-# Farther than this inside its reach a robot has no use for a thing.
+# A larger margin inside the reach has no further value.
 _HOME_M = 0.075
 _FAR_M = 0.03
 _OVERLAP_COST = 3.0
 _LENGTH_COST = 0.1
 _LEAST_GAIN_M = 0.01
-# Pushes, the most useful ones, that are checked for what is in their way.
+# Number of pushes, best first, that are checked against obstacles.
 _LOOKS = 200
 
 
 @dataclass(frozen=True)
 class Ways:
-    """Pushes that an attack considers."""
+    """The set of pushes that an attack considers; headings in [rad]."""
 
     contacts: tuple[Contact, ...] = (HOOK,)
     grasps: tuple[Pose2, ...] = (END_GRASP,)
@@ -54,23 +54,23 @@ class Ways:
     lengths_m: tuple[float, ...] = tuple(round(0.06 + 0.02 * i, 2) for i in range(25))
 
     def pushes(self, thing: Pose2) -> Iterator[Push]:
-        """Yield all combinations for a thing at a pose."""
+        """Yield all combinations for an object at a pose."""
         parts = (self.contacts, self.grasps, self.headings, self.lengths_m)
         for contact, grasp, heading, length_m in product(*parts):
             yield push(contact, grasp, thing, heading, length_m)
 
 
 HOOKING = Ways()
-"""As the expert does it, but of any length and direction."""
+"""The expert's hooking, but of any length and direction."""
 ANY_WAY = Ways(
     CONTACTS,
     (*HANDLE_GRASPS[:6:2], HANDLE_GRASPS[-1], BAR_GRASPS[1]),
     headings=tuple(i * (math.tau / 24) for i in range(24)),
     lengths_m=tuple(round(0.08 + 0.06 * i, 2) for i in range(9)),
 )
-"""With every side of the stick, and other grasps."""
+"""Pushes with every side of the stick and with other grasps."""
 STRAIGHT = Ways(CONTACTS[1:], (*HANDLE_GRASPS[:3], BAR_GRASPS[1]))
-"""With every side but the hook, for one heading and length."""
+"""Sides (without the hook) and grasps for pushes of one heading and length."""
 
 
 def require_stick(trial: SkillTrial, grasps: Sequence[Pose2] = GRASPS) -> None:
@@ -79,19 +79,19 @@ def require_stick(trial: SkillTrial, grasps: Sequence[Pose2] = GRASPS) -> None:
 
 
 def touches_by_stick(trial: SkillTrial, name: str) -> bool:
-    """Whether the stick could touch a thing while it is held, pointing down."""
+    """Whether the stick, held by a hand that points down, could touch an object."""
     limit_m = trial.reach.grasp_m + LONGEST_M + CUBE_EDGE_M
     return trial.radius(trial.pose(name)) <= limit_m
 
 
 def grasp_now(trial: SkillTrial, grasps: Sequence[Pose2]) -> Pose2 | None:
-    """Return the first grasp, in the stick's frame, that is in reach as it lies."""
+    """Return the first grasp, in the stick's frame, that is in reach now, else None."""
     stick = trial.pose(STICK)
     return next((g for g in grasps if trial.margin(stick @ g) > SURE_M), None)
 
 
 def fetch_stick(trial: SkillTrial) -> None:
-    """Take the stick by any part, and lay it down so that its end can be grasped."""
+    """Grasp any part of the stick, and lay it down with its end in reach."""
     yaw, travel_m = trial.placement.base.yaw, trial.reach.travel_m
     for _ in range(3):
         grasp = grasp_now(trial, GRASPS)
@@ -118,9 +118,9 @@ def fetch_stick(trial: SkillTrial) -> None:
 
 
 def best_pushes(trial: SkillTrial, thing: str, ways: Ways) -> list[Push]:
-    """Return pushes that the hand can follow and that bring a thing home, best first.
+    """Return feasible pushes that bring an object into reach, best first.
 
-    A push is the better the farther inside its reach the robot then has the thing.
+    A push is better if it brings the object farther inside the robot's reach.
     """
 
     def worth(pose: Pose2) -> float:
@@ -146,7 +146,7 @@ def best_pushes(trial: SkillTrial, thing: str, ways: Ways) -> list[Push]:
 def carry_out(
     trial: SkillTrial, way: Push, primitive: Primitive = Primitive.POKE
 ) -> None:
-    """Put the stick down beside a thing, and push it: ``HOOK`` or ``POKE``."""
+    """Put the stick down beside an object, and push it: ``HOOK`` or ``POKE``."""
     hooks = primitive is Primitive.HOOK
     stick, before = trial.pose(STICK), Primitive.PREHOOK if hooks else Primitive.PREPOKE
 
@@ -156,19 +156,19 @@ def carry_out(
     options = (way.grasp, *GRASPS)
     grasp = next((g for g in options if free_m(g) > 0.0), way.grasp)
     if trial.do(before, stick @ grasp, way.stick @ grasp).ok:
-        # Along the stick as it lies, which differs by some millimetres.
+        # The stick's real pose differs from the planned one by some millimetres.
         pick = trial.pose(STICK) @ way.grasp
         trial.do(primitive, pick, pick @ (way.start.inverse() @ way.end))
 
 
 def drag_closer(trial: SkillTrial, thing: str, ways: Ways, number: int = 0) -> bool:
-    """Push a thing homewards; return whether it came closer.
+    """Push an object towards the robot; return whether it came closer.
 
     Args:
         trial: The attempt.
         thing: Name of the object to bring closer.
         ways: Pushes to choose from.
-        number: Failures so far; another push is chosen after each.
+        number: Number of failures so far, which selects the next push.
     """
     options = best_pushes(trial, thing, ways)
     if not options:
@@ -180,7 +180,7 @@ def drag_closer(trial: SkillTrial, thing: str, ways: Ways, number: int = 0) -> b
 
 
 def bring_within(trial: SkillTrial, thing: str, inside_m: float) -> None:
-    """Hook a thing at most three times, until it is in reach by a margin [m]."""
+    """Hook an object at most three times, until it is in reach by a margin [m]."""
     for number in range(3):
         if trial.margin(trial.pose(thing)) > inside_m:
             break
@@ -188,7 +188,7 @@ def bring_within(trial: SkillTrial, thing: str, inside_m: float) -> None:
 
 
 def fixed_bottoms(trial: SkillTrial) -> list[str]:
-    """Return the bottoms of the goal that nobody can move."""
+    """Return the bottoms of the goal that are fixed."""
     return [on.bottom for on in trial.goal.placements if kind_of(on.bottom).fixed]
 
 
@@ -223,7 +223,7 @@ def _require_near(trial: SkillTrial, grasps: Sequence[Pose2]) -> None:
     """Give up where a pad stays out of reach, or the stick touches no cube."""
     require_stick(trial, grasps)
     pads, cubes = fixed_bottoms(trial), _far_cubes(trial)
-    # With such a pad no plan for this robot alone will ever end.
+    # With a pad out of reach, this robot alone never has a plan.
     trial.require(all(trial.margin(trial.pose(pad)) > 0.0 for pad in pads))
     trial.require(all(touches_by_stick(trial, cube) for cube in cubes))
 
@@ -247,7 +247,6 @@ def _bring_home(trial: SkillTrial, ways: Ways) -> None:
         far = _far_cubes(trial)
         if not far:
             return
-        # The one with fewest failures.
         thing = min(far, key=lambda name: failures.get(name, 0))
         number = failures.get(thing, 0)
         if number > _FAILURES:
@@ -258,8 +257,8 @@ def _bring_home(trial: SkillTrial, ways: Ways) -> None:
 
 _ON_BAR = Pose2(HANDLE_LENGTH_M - STICK_SECTION_M / 2, 0.35 * HOOK_LENGTH_M)
 _BEYOND = Pose2(HANDLE_LENGTH_M + 0.005, 0.3 * HOOK_LENGTH_M)
-# Where on the stick the cube lies, in its frame, and how it is carried: slowly along
-# the table, or through the air; by attempt.
+# Position of the cube on the stick, in the stick's frame, and how it is carried: slowly
+# along the table, or through the air; by attempt.
 _WAYS = (
     (_ON_BAR, Primitive.POKE),
     (_ON_BAR, Primitive.PREPOKE),
@@ -293,13 +292,13 @@ def _carry(trial: SkillTrial, on: On) -> None:
     if hand is None:
         return
     trial.do(carrying, trial.pose(STICK) @ END_GRASP, hand)
-    # The stick is pulled away below the cube.
+    # Pull the stick away from below the cube.
     grasp = trial.pose(STICK) @ END_GRASP
     trial.do(Primitive.HOOK, grasp, grasp @ Pose2(-_PULL_M, 0.0))
 
 
 def _bring_stick_near(trial: SkillTrial, spot: Pose2) -> bool:
-    """Lay the stick so that a cube can be put on it, and its end be grasped."""
+    """Lay the stick so that both a spot on it and its end are in reach."""
     stick, yaw = trial.pose(STICK), trial.placement.base.yaw
     if trial.margin(stick @ spot) > 0.005:
         return True
@@ -315,7 +314,7 @@ def _bring_stick_near(trial: SkillTrial, spot: Pose2) -> bool:
 
 
 def _hand_over(trial: SkillTrial, on: On) -> Pose2 | None:
-    """Return the hand's pose that has the cube on the stick over its bottom."""
+    """Return the hand's pose at which the cube on the stick is over its bottom."""
     local = trial.pose(STICK).inverse() @ trial.pose(on.top)
     target = trial.pose(on.bottom)
     outward = trial.outward(target)

@@ -1,1 +1,1 @@
-"""Episodes as a LeRobotDataset, written by the lerobot package itself."""
+"""Export of episodes as a LeRobotDataset with the lerobot package."""

@@ -1,8 +1,8 @@
-"""From a recipe to a LeRobotDataset v3.0, written by the lerobot package.
+"""Export of a recipe as a LeRobotDataset v3.0 with the lerobot package.
 
-Workers write a few episodes each as a LeRobotDataset of their own, a shard, whole or
-not at all. When all shards are there, lerobot aggregates them, and ``meta`` comes last.
-A run that was stopped loses the shards that were being written; the next one goes on.
+Each job writes a few episodes as a separate LeRobotDataset, a shard, completely or not
+at all. When all shards exist, lerobot aggregates them, and ``meta`` is written last. An
+interrupted run loses only unfinished shards; the next run continues.
 """
 
 import importlib
@@ -48,22 +48,22 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.names import task_rank
 
 EXTRAS = "extras"
-"""Folder of facts that the format has no place for."""
+"""Folder for data that the format cannot store."""
 REPO_ID = "lemma/export"
-"""Name of the data sets, which lerobot asks for."""
+"""Name of the data sets, which lerobot requires."""
 _GROUP = ".group"
 _FEW = 4
-"""Data sets that are never divided into groups."""
+"""Number of data sets up to which no groups are made."""
 INFO = "meta/info.json"
 EPISODES = f"{EXTRAS}/episodes.json"
-"""Facts about every episode that the format has no place for."""
+"""File with data about every episode that the format cannot store."""
 _EXPORT = f"{EXTRAS}/export.json"
 _WHOLE = ".whole"
 _PARTS = ("data", "videos", "meta")
-"""Folders of a LeRobotDataset; the last one is the one that makes it whole."""
+"""Folders of a LeRobotDataset; the last one is moved last, which completes it."""
 DEPTH_LARGEST_M = 4.095
-"""Depths are stored in levels of 1 mm up to this; cameras above the table see 3.8 m at
-most [m]."""
+"""Largest stored depth [m]; levels are 1 mm apart. Cameras above the table see at most
+3.8 m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,16 +71,16 @@ class LeRobotConfig:
     """The settings of an export."""
 
     source: RenderConfig
-    """Which episodes of which recipe, and the folder to write."""
+    """Selection of episodes, and the output folder."""
     style: Style = field(default_factory=Style)
-    """How to film them."""
+    """Options of the frames."""
     per_video: int = 10
-    """Episodes that share a video. Readers look frames up by time in float32, to within
-    0.1 ms: a video should be shorter than 1000 s."""
+    """Number of episodes per video. Readers find frames by time in float32, to within
+    0.1 ms, so a video should be shorter than 1000 s."""
 
     @property
     def per_shard(self) -> int:
-        """Episodes of the recipe that share a video: each is there in every kind."""
+        """Number of the recipe's episodes per video; each is there once per kind."""
         return max(1, self.per_video // len(self.style.instructions))
 
     @property
@@ -89,15 +89,15 @@ class LeRobotConfig:
         return self.source.out
 
     def shards(self) -> "list[Shard]":
-        """Return the episodes by shard: training first, then in the suite's order.
+        """Return the shards: training first, then in the suite's order.
 
         Raises:
             DatasetError: There is no recipe.
-            UnknownNameError: It has no such task or split.
+            UnknownNameError: The recipe has no such task or split.
         """
         groups = sorted(self.source.groups(), key=lambda group: _rank(*group[:2]))
         every = [
-            # Absolute, because workers of a cluster have another working folder.
+            # Absolute paths, since workers of a cluster have another working folder.
             (path.absolute(), group, rows[first : first + self.per_shard])
             for path, group, rows in groups
             for first in range(0, len(rows), self.per_shard)
@@ -110,7 +110,7 @@ class LeRobotConfig:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Episodes that one job writes as a LeRobotDataset of its own."""
+    """Episodes that one job writes as a separate LeRobotDataset."""
 
     path: Path
     """File of the recipe."""
@@ -119,7 +119,7 @@ class Shard:
     rows: tuple[int, ...]
     """Rows of the group."""
     folder: Path
-    """Where they are until all exist."""
+    """Folder of the shard, until all shards exist."""
 
 
 def _rank(path: Path, group: int) -> tuple[int, tuple[int, str], str, int]:
@@ -138,15 +138,15 @@ def write_dataset(
     Args:
         order: The settings.
         engine: Workers that run the jobs.
-        advance: Is told how many episodes are done already, then of each further one.
+        advance: Called with the numbers of existing and of newly finished episodes.
 
     Returns:
         The outcome.
 
     Raises:
-        DatasetError: The lerobot package is not installed, the recipe cannot be read
-            here, what is there was made from another one or otherwise, something cannot
-            be written, or sentences that are held out would be those of training.
+        DatasetError: The lerobot package is not installed; the recipe cannot be read
+            here; the folder was made from another recipe or with other options; a file
+            cannot be written; or held-out sentences would be used for training.
         UnknownNameError: The recipe has no such task or split, or no such camera.
         RenderingError: OpenGL does not work here.
     """
@@ -181,28 +181,28 @@ def write_dataset(
 
 
 def check_installed() -> None:
-    """Check that LeRobotDatasets can be written here.
+    """Check that the lerobot package is installed.
 
     Raises:
-        DatasetError: They cannot.
+        DatasetError: It is not installed.
     """
     try:
         importlib.import_module("lerobot")
     except ImportError as error:
         raise DatasetError(
-            "LeRobotDatasets are written by the lerobot package, which is not "
-            "installed. It needs Python 3.12 or newer, and torch: make an environment "
-            "of its own, python3.12 -m venv .venv-lerobot, and install with "
+            "LeRobotDatasets need the lerobot package, which is not installed. It "
+            "needs Python 3.12 or newer, and torch: make a separate environment, "
+            "python3.12 -m venv .venv-lerobot, and install with "
             ".venv-lerobot/bin/pip install 'lemma-bench[lerobot]', or '.[lerobot]' in "
             "a checkout. A recipe may be generated elsewhere."
         ) from error
 
 
 def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
-    """Write the record of the export, or check that it is the same.
+    """Write the record of the export, or check that an existing one is the same.
 
     Raises:
-        DatasetError: Something else was begun there.
+        DatasetError: The folder contains another export or other files.
     """
     about = {
         "form": "lerobot",
@@ -216,7 +216,7 @@ def _begin(order: LeRobotConfig, files: Sequence[Path]) -> None:
     others = (name for name in order.out.iterdir() if not name.name.startswith("."))
     if not path.exists() and any(others):
         raise DatasetError(
-            f"{order.out} holds something that this export did not begin. {NEW_FOLDER}"
+            f"{order.out} contains files of something else. {NEW_FOLDER}"
         )
     begin(order.out, _EXPORT, about)
 
@@ -226,10 +226,10 @@ def write_shard(shard: Shard, style: Style) -> None:
 
     Args:
         shard: The episodes.
-        style: How to film them.
+        style: Options of the frames.
 
     Raises:
-        DatasetError: The motion is not the recorded one.
+        DatasetError: The replayed motion differs from the recorded one.
         RenderingError: OpenGL does not work here.
     """
     records = read_records(shard.path, shard.group, shard.rows)
@@ -253,17 +253,17 @@ def write_shard(shard: Shard, style: Style) -> None:
 def _create(folder: Path, holds: dict[str, dict[str, Any]], style: Style) -> Any:
     """Return a new LeRobotDataset.
 
-    It does not encode frames as they come: lerobot's streaming encoder drops frames
-    that it has no time for, as cameras of real robots do not wait.
+    It does not use lerobot's streaming encoder, which is made for real cameras and
+    drops frames when it is too slow.
     """
     silence()
     from lerobot.configs import DepthEncoderConfig, RGBEncoderConfig  # noqa: PLC0415
     from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: PLC0415
 
-    # For cheap random access, every fifth frame needs no other one, and none a later
-    # one. Without macroblock trees crf 27 looks like 23 with them, at the same size.
+    # For fast random access: every fifth frame is a keyframe, without B-frames. Without
+    # macroblock trees, crf 27 has the quality and size of crf 23 with them.
     color = {"bf": "0", "x264-params": "mbtree=0"}
-    # Lossless, one thread, no messages.
+    # Lossless, one thread, no log.
     x265 = "lossless=1:pools=none:frame-threads=1:log-level=none"
     levels = {"bf": "0", "x265-params": x265}
     return LeRobotDataset.create(
@@ -294,10 +294,10 @@ def _assemble(
     files: Sequence[Path],
     engine: Engine,
 ) -> None:
-    """Aggregate the shards, and add the files beside the format.
+    """Aggregate the shards, and add the files outside of the format.
 
     Raises:
-        DatasetError: They have different numbers of robots.
+        DatasetError: The episodes have different numbers of robots.
     """
     episodes = [
         episode
@@ -307,7 +307,7 @@ def _assemble(
     if len({len(episode["team"].split("+")) for episode in episodes}) > 1:
         raise DatasetError(
             "These episodes have different numbers of robots and do not fit into one "
-            "LeRobotDataset. Export the tasks into folders of their own, with --tasks."
+            "LeRobotDataset. Export the tasks into separate folders, with --tasks."
         )
     whole = order.out / PARTS / _WHOLE
     aggregate_in_groups([shard.folder for shard in shards], whole, engine)
@@ -333,7 +333,7 @@ def _assemble(
     write_text(order.out / CARD, text)
     for part in _PARTS:
         rmtree(order.out / part, ignore_errors=True)
-        # Without pictures there are no videos.
+        # Without images there are no videos.
         if (whole / part).exists():
             (whole / part).rename(order.out / part)
 
@@ -347,11 +347,11 @@ def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:
 
 
 def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) -> None:
-    """Write one LeRobotDataset that holds the episodes of others, in their order.
+    """Aggregate LeRobotDatasets into one in parallel, in their order.
 
     Args:
-        folders: Folders of the others; groups of them are written beside them.
-        whole: Folder to write; what is there is replaced.
+        folders: Folders of the data sets; temporary groups are written next to them.
+        whole: Output folder; an existing one is replaced.
         engine: Workers that run the jobs.
     """
     size = max(_FEW, math.isqrt(len(folders)))
@@ -366,11 +366,11 @@ def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) ->
 
 
 def aggregate(folders: Sequence[Path], whole: Path) -> None:
-    """Write one LeRobotDataset that holds the episodes of others, in their order.
+    """Aggregate LeRobotDatasets into one, in their order.
 
     Args:
-        folders: Folders of the others.
-        whole: Folder to write; what is there is replaced.
+        folders: Folders of the data sets.
+        whole: Output folder; an existing one is replaced.
     """
     silence()
     from lerobot.datasets.aggregate import aggregate_datasets  # noqa: PLC0415
@@ -381,15 +381,15 @@ def aggregate(folders: Sequence[Path], whole: Path) -> None:
         REPO_ID,
         roots=[*folders],
         aggr_root=whole,
-        # Joined videos would be longer than readers can look frames up in, and of a
-        # table that grows all rows would be written again for every shard.
+        # Concatenated videos would be too long to find frames by time. Concatenated
+        # tables would be rewritten for every shard.
         concatenate_videos=False,
         concatenate_data=False,
     )
 
 
 def silence() -> None:
-    """Keep encoders and tables from talking over the progress bar."""
+    """Suppress output of encoders and tables, which would disturb the progress bar."""
     os.environ.setdefault("TQDM_DISABLE", "1")
     logging.getLogger("lerobot").setLevel(logging.ERROR)
     import av  # noqa: PLC0415

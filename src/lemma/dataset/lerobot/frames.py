@@ -1,6 +1,6 @@
 """Frames of a LeRobotDataset: states, commands, images and sentences.
 
-Nothing here needs the lerobot package.
+This module does not need the lerobot package.
 """
 
 from collections.abc import Callable, Iterator
@@ -43,44 +43,50 @@ from lemma.tasks.suite import TASKS
 AGENT_PARTS = ("state", "action")
 """Columns of each robot: ``robot_0.state``."""
 ENVIRONMENT_STATE = "observation.environment_state"
-"""Name of the numbers beside the pictures, which policies of LeRobot look for."""
+"""Name of the feature with further numbers, as policies of LeRobot expect it."""
 EnvironmentState = Literal["none", "sentence", "privileged"]
 NONE, SENTENCE, PRIVILEGED = ENVIRONMENT_STATES = get_args(EnvironmentState)
-"""Nothing; :func:`lemma.tasks.language.vector.sentence_vector`; or the truth,
-:func:`lemma.env.observation.truth_vector`."""
+"""No such feature; :func:`lemma.tasks.language.vector.sentence_vector`; or the true
+state, :func:`lemma.env.observation.truth_vector`."""
 _SMALLEST_PX = 32
 
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
-    """How episodes are sampled and filmed."""
+    """Options of the frames: rate, images, sentences and states."""
 
     fps: int = 10
     """Frames per simulated second: a divisor of 100."""
     width_px: int = CLOSE_PX
-    """Width of the pictures [px]; even."""
+    """Width of the images [px]; even."""
     height_px: int = CLOSE_PX
-    """Height of the pictures [px]; even."""
+    """Height of the images [px]; even."""
     depth: bool = True
-    """Whether depth is filmed too."""
+    """Whether to add depth."""
     cameras: tuple[str, ...] = ()
-    """Names of the cameras, as an environment knows them; if none, those that the
-    control level observes, :func:`lemma.env.camera_rig.close_cameras`."""
+    """Names of the cameras, as in environments; if empty, those of observations at
+    control level, :func:`lemma.env.camera_rig.close_cameras`."""
     instructions: tuple[str, ...] = ("high_level",)
-    """Which of the three instructions is the ``task`` of a frame: for each of these
-    kinds there is an episode."""
+    """Kinds of instructions; each kind adds an episode with it as ``task``."""
     images: bool = True
-    """Whether cameras film at all."""
+    """Whether to add images."""
     environment_state: str = NONE
-    """Content of ``observation.environment_state``, of :data:`ENVIRONMENT_STATES`."""
+    """Content of ``observation.environment_state``, one of
+    :data:`ENVIRONMENT_STATES`."""
     control: str = JOINT_POSITION
-    """Control mode of actions and state, of
+    """Control mode of actions and state, one of
     :data:`lemma.env.learning.motor_state.MOTOR_CONTROLS`."""
     renderer: str = "opengl"
     """A name in :data:`lemma.scene.rendering.batch.BATCH_RENDERERS`."""
 
     def __post_init__(self) -> None:
-        """Check the options."""
+        """Check the options.
+
+        Raises:
+            InvalidConfigError: A size is odd or too small, a name is listed twice, or
+                cameras are named without images.
+            UnknownNameError: A name is unknown.
+        """
         ticks_per_step(self.fps)
         sides = (self.width_px, self.height_px)
         if min(sides) < _SMALLEST_PX or any(side % 2 for side in sides):
@@ -94,15 +100,15 @@ class Style:
         known("control mode of data sets", self.control, MOTOR_CONTROLS)
         for listed in (self.cameras, self.instructions):
             if len(set(listed)) < len(listed):
-                raise InvalidConfigError(f"{listed} names one twice. Name each once.")
+                raise InvalidConfigError(f"{listed} has a name twice. Name each once.")
         if self.cameras and not self.images:
             raise InvalidConfigError(
-                f"Without images {', '.join(self.cameras)} would film nothing. Leave "
-                "out the cameras, or keep the images."
+                f"Without images the cameras {', '.join(self.cameras)} have no use. "
+                "Leave out the cameras, or keep the images."
             )
 
     def cameras_of(self, robots: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the cameras that film a team.
+        """Return the names of the cameras for a team.
 
         Raises:
             UnknownNameError: The team has no such camera.
@@ -111,13 +117,13 @@ class Style:
         return tuple(known("camera", n, valid) for n in chosen) if self.images else ()
 
     def rig(self) -> CameraRig:
-        """Return the cameras of this process, which are started once."""
+        """Return the cameras of this process, which are created once."""
         return _rig(self.width_px, self.height_px, self.renderer)
 
 
 @lru_cache(maxsize=1)
 def _rig(width: int, height: int, renderer: str) -> CameraRig:
-    """Return cameras: starting them takes longer than a picture."""
+    """Return cached cameras, since their creation takes longer than an image."""
     return CameraRig(width, height, renderer)
 
 
@@ -127,24 +133,24 @@ def robots_of(record: EpisodeRecord) -> tuple[str, ...]:
 
 
 def image_key(camera: str) -> str:
-    """Return the name of a camera's pictures as a feature."""
+    """Return the feature name of a camera's images."""
     return f"observation.images.{camera}"
 
 
 def depth_key(camera: str) -> str:
-    """Return the name of a camera's depth as a feature."""
+    """Return the feature name of a camera's depth."""
     return f"observation.images.{camera}_depth"
 
 
 def features(robots: tuple[str, ...], style: Style) -> dict[str, dict[str, Any]]:
-    """Return the features of a frame, as the format describes them.
+    """Return the features of a frame in the notation of the format.
 
     Args:
         robots: Names of the robots.
-        style: The style.
+        style: Options of the frames.
 
     Raises:
-        UnknownNameError: They have no such camera.
+        UnknownNameError: The team has no such camera.
     """
     own, motors = list(MOTORS[style.control]), motor_names(style.control, robots)
     sides = (style.height_px, style.width_px)
@@ -190,11 +196,11 @@ def frames(
 
     Args:
         record: The episode; its sub-tasks are executed again.
-        style: How to film it.
-        kind: Which of its instructions is the task.
+        style: Options of the frames.
+        kind: Kind of the instruction that becomes the task.
 
     Raises:
-        DatasetError: The motion is not the recorded one.
+        DatasetError: The replayed motion differs from the recorded one.
         RenderingError: OpenGL does not work here.
     """
     cameras = style.cameras_of(robots_of(record))
@@ -214,10 +220,10 @@ def frames(
 def _filmed(
     record: EpisodeRecord, style: Style, cameras: tuple[str, ...]
 ) -> Iterator[tuple[DenseStep, dict[str, Any]]]:
-    """Yield the steps of an episode, each with its pictures by feature.
+    """Yield the steps of an episode, each with its images by feature.
 
-    Many states are rendered at a time. Only those are kept, so memory does not grow
-    with the length of an episode. The scene of a step has gone on to a later one.
+    A batch of states is rendered at a time, so memory does not grow with the length of
+    an episode. The ``scene`` of a yielded step shows a later state.
     """
     steps = iterate_steps(record, style.fps)
     if not cameras:
@@ -297,13 +303,13 @@ def _numbers(record: EpisodeRecord, step: DenseStep, control: str) -> dict[str, 
 def describe_episode(
     record: EpisodeRecord, style: Style, kind: str, length: int
 ) -> dict[str, Any]:
-    """Return facts that the format has no place for: origin, sentences, cameras.
+    """Return data that the format cannot store: origin, sentences, cameras.
 
     Args:
         record: The episode.
-        style: How it was filmed.
-        kind: Which of its instructions is the task.
-        length: How many frames it has.
+        style: Options of its frames.
+        kind: Kind of the instruction that is the task.
+        length: Number of frames.
     """
     return {
         "key": record.key,

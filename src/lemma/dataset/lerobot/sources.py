@@ -20,13 +20,13 @@ from lemma.env.learning.motor_state import WAYPOINT
 from lemma.tasks.language.template import KINDS
 
 PARQUET = ".parquet"
-"""End of the names of files of a recipe."""
+"""Ending of a recipe's files."""
 
 
 def read_records(
     path: Path, group: int, rows: tuple[int, ...]
 ) -> Sequence[EpisodeRecord]:
-    """Return episodes.
+    """Return episodes of a file.
 
     Args:
         path: File of a recipe, or of an episode that was led by hand.
@@ -34,7 +34,7 @@ def read_records(
         rows: Rows of the group.
 
     Raises:
-        DatasetError: It is damaged, or comes to another state here.
+        DatasetError: The file is damaged, or its replay reaches another state here.
     """
     if path.suffix != PARQUET:
         return [read_record(path)]
@@ -48,11 +48,11 @@ def check_source(source: Path, files: Sequence[Path], style: Style) -> None:
     Args:
         source: A recipe, or episodes that were led by hand.
         files: The files to read.
-        style: The style.
+        style: Options of the frames.
 
     Raises:
-        DatasetError: They cannot.
-        InvalidConfigError: A file is none of an episode that was led by hand.
+        DatasetError: They cannot be exported.
+        InvalidConfigError: A file contains no episode that was led by hand.
     """
     if all(path.suffix != PARQUET for path in files):
         _check_led(files, style)
@@ -64,9 +64,9 @@ def check_source(source: Path, files: Sequence[Path], style: Style) -> None:
         check_versions(found)
         if perturbed_as(found):
             raise DatasetError(
-                f"{source} holds perturbed executions, in which what was "
-                "done is not what is right, and a LeRobotDataset says what was done. "
-                "Render keyframes, whose labels are the expert's, or a recipe of "
+                f"{source} contains perturbed executions, whose actions are partly "
+                "wrong, so they are no demonstrations for a LeRobotDataset. Render "
+                "keyframes, whose labels are the expert's, or export a recipe of "
                 "demonstrations."
             )
     check_files(source, partial=True)
@@ -76,13 +76,13 @@ def _check_led(files: Sequence[Path], style: Style) -> None:
     """Check that episodes that were led by hand can be exported with these options.
 
     Raises:
-        DatasetError: They cannot.
-        InvalidConfigError: A file is none of such an episode.
+        DatasetError: They cannot be exported.
+        InvalidConfigError: A file contains no such episode.
     """
     if style.instructions != TRAINING_KINDS[:1]:
         raise DatasetError(
-            "An episode that was led by hand has one sentence, which was said. Leave "
-            "--instructions out."
+            "An episode that was led by hand has only the visitor's sentence. Leave "
+            "out --instructions."
         )
     for path in files:
         done = Teleoperation.load(path)
@@ -90,27 +90,27 @@ def _check_led(files: Sequence[Path], style: Style) -> None:
         held_out = {sentences[kind] for kind in KINDS if kind not in TRAINING_KINDS}
         if done.instruction in held_out:
             raise DatasetError(
-                f"{path}: what was said is held out for evaluation. Say something else "
-                "where episodes are led to learn from."
+                f"{path}: its sentence is held out for evaluation. Record episodes for "
+                "training with another sentence."
             )
         modes = {part.control for part in done.parts if isinstance(part, Commanded)}
         for mode in sorted(modes) if style.control == WAYPOINT else ():
             if not issubclass(CONTROLS[mode].controller, PoseController):
                 raise DatasetError(
-                    f"{path}: {mode} commands joints, and no hand was led anywhere. "
-                    "Leave --control out."
+                    f"{path}: mode {mode} commands joints, so there are no targets of "
+                    "hands. Leave out --control."
                 )
 
 
 def name_in_source(path: Path) -> str:
-    """Return the name of a file within its folder: ``"train/stack.parquet"``."""
+    """Return the path of a file within a recipe: ``"train/stack.parquet"``."""
     return f"{path.parent.name}/{path.name}"
 
 
 def keep_source(folder: Path, files: Sequence[Path]) -> None:
-    """Add the recipe of the episodes: instances, and states of the physics.
+    """Copy the recipe of the episodes, with instances and states of the physics.
 
-    Of those that were led by hand, their files.
+    For episodes that were led by hand, copy their files.
     """
     if all(path.suffix != PARQUET for path in files):
         for path in files:

@@ -1,4 +1,4 @@
-"""The Parquet files of a recipe, and its episodes on demand.
+"""The Parquet files of a recipe, and loading of its episodes on demand.
 
 Reading needs neither MuJoCo nor torch.
 """
@@ -32,15 +32,15 @@ from lemma.dataset.recipe.schema import (
 METADATA_KEY = b"lemma"
 _KEPT_GROUPS = 8
 REVISION_VARIABLE = "LEMMA_REVISION"
-"""Environment variable that says the git revision where the checkout has no .git."""
+"""Environment variable with the git revision, for a checkout without .git."""
 ROW_GROUP = 20
-"""Episodes that are read together."""
+"""Number of episodes per row group, which are read together."""
 WRITTEN_BY = "lemma generate"
-"""The command that writes them."""
+"""The command that writes recipes."""
 
 
 def versions(benchmark: str) -> dict[str, str]:
-    """Return the versions that the bits of a recipe depend on.
+    """Return the versions that determine the bits of a recipe.
 
     Args:
         benchmark: Version of the benchmark's instances.
@@ -60,9 +60,9 @@ def _revision() -> str:
     """Return the git revision of the package's checkout.
 
     Returns:
-        ``"release"`` if the package is installed, and ``"unknown"`` if it runs from
-        sources whose revision git does not say. Another project's repository, around
-        an environment in which this package is installed, is not asked.
+        The revision; ``"release"`` for an installed package; ``"unknown"`` for sources
+        without a git revision. A repository of another project that contains the
+        environment with the installed package is ignored.
     """
     named = os.environ.get(REVISION_VARIABLE)
     if named:
@@ -86,7 +86,7 @@ def _revision() -> str:
 def write_table(path: Path, table: pa.Table, about: dict[str, str]) -> None:
     """Write a table of a recipe to Parquet, with a record of versions and settings."""
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True).encode()}
-    # In one piece: the borders of pieces would change the bytes.
+    # Combine the chunks: their boundaries would change the bytes.
     table = table.replace_schema_metadata(metadata).combine_chunks()
 
     def write(draft: Path) -> None:
@@ -108,7 +108,7 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
         The file, and its record of versions and settings.
 
     Raises:
-        DatasetError: It is truncated, or not of this format.
+        DatasetError: The file is truncated, or not of this format.
     """
     with explained(path):
         file = pq.ParquetFile(path, page_checksum_verification=True)
@@ -116,13 +116,13 @@ def open_table(path: Path) -> tuple[pq.ParquetFile, dict[str, str]]:
     known = (SCHEMA.names, PERTURBED_SCHEMA.names)
     if found is None or file.schema_arrow.names not in known:
         raise DatasetError(
-            f"{path} is no recipe of this benchmark. Recipes are written by "
-            "'lemma generate'."
+            f"{path} is not a recipe of this benchmark. 'lemma generate' writes "
+            "recipes."
         )
     about: dict[str, str] = parse_json(found, path)
     if about.get("format") != FORMAT_VERSION:
         raise DatasetError(
-            f"{path} has format {about.get('format')}, and this version of the package "
+            f"{path} has format {about.get('format')}, but this version of the package "
             f"reads format {FORMAT_VERSION}. Install the version that wrote it "
             f"({about.get('lemma')}), or generate it again."
         )
@@ -137,7 +137,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         columns: Names of columns; all if None.
 
     Raises:
-        DatasetError: It is damaged, or not of this format.
+        DatasetError: The file is damaged, or not of this format.
     """
     with explained(path):
         return open_table(path)[0].read(columns=columns)
@@ -147,7 +147,7 @@ def read_group(path: Path, group: int) -> list[EpisodeRecord]:
     """Read the episodes of one row group of a file.
 
     Raises:
-        DatasetError: It is damaged.
+        DatasetError: The file is damaged.
     """
     with explained(path):
         return from_table(open_table(path)[0].read_row_group(group))
@@ -155,14 +155,14 @@ def read_group(path: Path, group: int) -> list[EpisodeRecord]:
 
 @contextmanager
 def explained(path: Path, written_by: str = WRITTEN_BY) -> Iterator[None]:
-    """Turn an error of Arrow about a file into a sentence.
+    """Turn an error of Arrow about a file into a message.
 
     Args:
         path: The file.
-        written_by: The command that writes it.
+        written_by: The command that writes the file.
 
     Raises:
-        DatasetError: The sentence.
+        DatasetError: The message.
     """
     try:
         yield
@@ -172,7 +172,7 @@ def explained(path: Path, written_by: str = WRITTEN_BY) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where an episode is."""
+    """Position of an episode in the files."""
 
     path: Path
     group: int
@@ -184,17 +184,17 @@ class _Place:
 
 
 class Recipe(Sequence[EpisodeRecord]):
-    """The episodes of a recipe, in the order of its files; read when asked for.
+    """The episodes of a recipe, in the order of its files, read on demand.
 
-    It can be sent to the workers of a data loader, without the episodes read so far.
+    It can be pickled for the workers of a data loader; cached episodes are left out.
     """
 
     def __init__(self, folder: Path, places: list[_Place]) -> None:
-        """Keep where the episodes are; use :func:`load` instead.
+        """Create the sequence; use :func:`load` instead.
 
         Args:
             folder: The recipe.
-            places: Where every episode is.
+            places: Positions of the episodes.
         """
         self.folder = folder
         self._places = places
@@ -214,7 +214,8 @@ class Recipe(Sequence[EpisodeRecord]):
         """Return an episode, or a part of the recipe.
 
         Raises:
-            IndexError: There are not so many.
+            IndexError: There are fewer episodes.
+            DatasetError: A file is damaged.
         """
         if isinstance(index, slice):
             return Recipe(self.folder, self._places[index])
@@ -228,15 +229,15 @@ class Recipe(Sequence[EpisodeRecord]):
         return self._groups[key][place.row]
 
     def __reduce__(self) -> tuple[type["Recipe"], tuple[Path, list[_Place]]]:
-        """Leave out what was read."""
+        """Return the state for pickling, without cached episodes."""
         return Recipe, (self.folder, self._places)
 
     def files(self) -> list[Path]:
-        """Return the files that the episodes are in."""
+        """Return the files of the episodes."""
         return list(dict.fromkeys(place.path for place in self._places))
 
     def groups(self) -> list[tuple[Path, int, tuple[int, ...]]]:
-        """Return the row groups that the episodes are in: file, number, rows of it."""
+        """Return the row groups of the episodes: file, number, rows in the group."""
         rows: dict[tuple[Path, int], list[int]] = {}
         for place in self._places:
             rows.setdefault((place.path, place.group), []).append(place.row)
@@ -269,7 +270,7 @@ class Recipe(Sequence[EpisodeRecord]):
         """Return one episode by name.
 
         Raises:
-            InvalidConfigError: It is not in this recipe.
+            InvalidConfigError: The recipe has no such episode.
         """
         chosen = self.select(task=task, split=split)
         for place, row in enumerate(chosen.rows("index")):
@@ -277,7 +278,7 @@ class Recipe(Sequence[EpisodeRecord]):
                 return chosen[place]
         raise InvalidConfigError(
             f"{self.folder} has no episode {task}/{split}/{index}. 'lemma inspect "
-            f"{quote(str(self.folder))}' says what it has."
+            f"{quote(str(self.folder))}' lists its content."
         )
 
 
@@ -285,10 +286,10 @@ def load(folder: str | Path) -> Recipe:
     """Open a recipe.
 
     Args:
-        folder: Where ``lemma generate`` wrote it.
+        folder: The folder that ``lemma generate`` wrote.
 
     Raises:
-        DatasetError: There is none, or a file is damaged or of another format.
+        DatasetError: There is no recipe, or a file is damaged or of another format.
     """
     folder = Path(folder)
     paths = sorted(folder.glob("*/*.parquet"))

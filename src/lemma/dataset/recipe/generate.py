@@ -1,8 +1,8 @@
-"""Write a recipe: resumable at any moment, the same bytes however it was interrupted.
+"""Generation of a recipe; it can be interrupted at any time and gives the same bytes.
 
-Every episode is first written as a part of its own, whole or not at all. When all parts
-of a file exist, they are put together in order and deleted: a killed run never leaves a
-wrong file.
+Every episode is first written to its own file, a part, completely or not at all. When
+all parts of a file exist, they are merged in order and deleted, so a killed run never
+leaves a wrong file.
 """
 
 from collections import Counter
@@ -62,7 +62,7 @@ from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, splits_of
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
 
 _SHOWN = 5
-"""Failures that a message names."""
+"""Number of failures that a message lists."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,37 +72,43 @@ class GenerateConfig:
     out: Path
     """Folder of the recipe."""
     tasks: tuple[str, ...] = SUITE
-    """Names of tasks, also of your own."""
+    """Names of tasks, including user-defined ones."""
     splits: tuple[str, ...] = tuple(SPLITS)
-    """Names of splits; ``"free"`` samples instances, seeds counting from 0."""
+    """Names of splits; ``"free"`` samples instances with seeds 0, 1, ..."""
     episodes: int | None = None
-    """Only the first so many of every list; all if None. Split ``"free"`` needs it."""
+    """Number of episodes of every list, from the first; None for all. Split ``"free"``
+    needs it."""
     perturb: Perturbation | None = None
-    """How sub-tasks are perturbed, for recovery states; None for demonstrations."""
+    """Perturbation of sub-tasks, for recovery states; None for demonstrations."""
 
     def __post_init__(self) -> None:
-        """Check the names and the number."""
+        """Check the names and the number.
+
+        Raises:
+            UnknownNameError: No such task or split.
+            InvalidConfigError: The number is below 1, or missing for split ``"free"``.
+        """
         for task in self.tasks:
             for split in self.splits:
                 check_split(task, split)
         if self.episodes is not None and self.episodes < 1:
             raise InvalidConfigError(
-                f"Episodes per task and split are 1 or more, not {self.episodes}."
+                f"Episodes per task and split are at least 1, not {self.episodes}."
             )
         if self.episodes is None and FREE_SPLIT in self.splits:
             raise InvalidConfigError(
-                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
-                "episodes of each task there shall be, with --episodes."
+                f"Split {FREE_SPLIT!r} is sampled without limit. Give the number of "
+                "episodes of each task with --episodes."
             )
 
     def count(self, task: str, split: str) -> int:
-        """Return how many episodes of a list are wanted; it may be shorter."""
+        """Return the number of episodes of a task and split."""
         every = splits_of(task).get(split, self.episodes or 0)
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
     def total(self) -> int:
-        """Return how many episodes there will be."""
+        """The total number of episodes."""
         return sum(
             self.count(task, split) for task in self.tasks for split in self.splits
         )
@@ -113,20 +119,20 @@ class GenerateSummary:
     """The outcome of a run."""
 
     episodes: int
-    """Episodes of the order; all exist now."""
+    """Number of requested episodes, which all exist now."""
     made: int
-    """Those that this run made."""
+    """Number of episodes that this run made."""
     seconds: float
-    """Time that this run took [s]."""
+    """Duration of this run [s]."""
     size_mb: float
-    """Size of the files of the order [MB]."""
+    """Size of the requested files [MB]."""
     worker_mb: float
-    """Most memory that any worker held [MB]; 0 where none worked."""
+    """Peak memory of a worker [MB]; 0 without work."""
 
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """One file of an order."""
+    """One requested file."""
 
     task: str
     split: str
@@ -134,11 +140,11 @@ class _File:
     parts: tuple[Path, ...]
     """Files of its episodes, one each, until all exist."""
     there: int
-    """Episodes that the file holds already."""
+    """Number of episodes that the file already contains."""
 
 
 def recipe_file(folder: Path, split: str, task: str) -> Path:
-    """Return where the episodes of one task and split are."""
+    """Return the path of the file with the episodes of a task and split."""
     return folder / split / f"{task}.parquet"
 
 
@@ -152,14 +158,14 @@ def generate(
     Args:
         order: The settings.
         engine: Workers that run the jobs.
-        advance: Is told how many episodes are done already, then of each further one.
+        advance: Called with the numbers of existing and of newly finished episodes.
 
     Returns:
         The outcome.
 
     Raises:
-        DatasetError: Something cannot be written, or what is there is damaged or of
-            another version, or somebody else is writing there, or the expert failed.
+        DatasetError: A file cannot be written, an existing one is damaged or of another
+            version, another process writes to the folder, or the expert failed.
     """
     start = perf_counter()
     about = {**versions(BENCHMARK_VERSION), **described(order.perturb)}
@@ -174,8 +180,8 @@ def generate(
         for name in sorted(there):
             check_sum(order.out / name, there[name], "lemma generate")
         begin(order.out, RECORD, about)
-        # A run that is killed after it wrote a file, and before the manifest, must not
-        # make that file look damaged.
+        # Drop growing files from the manifest: a run killed between writing a file and
+        # the manifest would otherwise make the file look damaged.
         grows = {file.path for file in listed if file.there < len(file.parts)}
         kept = {name: e for name, e in there.items() if order.out / name not in grows}
         if kept != known:
@@ -198,10 +204,10 @@ def _work(
     about: dict[str, str],
     advance: Callable[[int], None],
 ) -> tuple[int, float]:
-    """Make the episodes that are missing, and put files together when they are whole.
+    """Make missing episodes, and merge files when their parts are complete.
 
     Returns:
-        How many episodes were made, and the most memory that a worker held [MB].
+        The number of new episodes, and the peak memory of a worker [MB].
     """
     parts = []
     left: Counter[tuple[str, str]] = Counter()
@@ -210,7 +216,7 @@ def _work(
         for index, path in enumerate(file.parts):
             is_done = index < file.there or path.exists()
             left[name] += not is_done
-            # Absolute, because workers of a cluster have another working folder.
+            # Absolute paths, since workers of a cluster have another working folder.
             parts.append(Part((*name, index, path.absolute(), about), 1, is_done))
         if not left[name]:
             _put_together(file, about)
@@ -228,8 +234,8 @@ def _work(
     if failures:
         raise DatasetError(
             f"{len(failures)} episodes could not be made: "
-            f"{'; '.join(sorted(failures)[:_SHOWN])}. Frozen instances are solved by "
-            "the version that froze them; see 'lemma doctor'. The other episodes are "
+            f"{'; '.join(sorted(failures)[:_SHOWN])}. The version that froze the "
+            "instances solves all of them; see 'lemma doctor'. The other episodes are "
             "kept."
         )
     return sum(not part.is_done for part in parts), worker_mb
@@ -238,14 +244,14 @@ def _work(
 def generate_part(
     task: str, split: str, index: int, path: Path, about: dict[str, str]
 ) -> tuple[str | None, float]:
-    """Write one episode as a part, if the expert solves it, or if it was perturbed.
+    """Write one episode as a part, if the expert solves it or if it is perturbed.
 
     Returns:
-        The episode that failed and why, None if it was written; and the most memory
-        that this process ever held [MB].
+        Key and failure of a failed episode, None if it was written; and the peak memory
+        of this process [MB].
 
     Raises:
-        DatasetError: It cannot be written.
+        DatasetError: The part cannot be written.
     """
     failure, perturbation = None, perturbation_of(about)
     try:
@@ -257,7 +263,7 @@ def generate_part(
         record = record_perturbed(instance, perturbation)
     else:
         record = record_episode(instance)
-        # The expert solves every frozen instance, but not every sampled one.
+        # Only frozen instances are known to be solvable by the expert.
         if not record.success and split != FREE_SPLIT:
             failure = f"{record.key} ({record.failure})"
     if failure is None:
@@ -266,10 +272,10 @@ def generate_part(
 
 
 def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -> _File:
-    """Look at a file and its parts.
+    """Return the state of a file and its parts.
 
     Raises:
-        DatasetError: It is of another version, or holds more than is wanted.
+        DatasetError: The file is of another version, or has too many episodes.
     """
     path, there = recipe_file(order.out, split, task), 0
     parts, wanted = order.out / PARTS / f"{split}-{task}", order.count(task, split)
@@ -279,8 +285,8 @@ def _look(order: GenerateConfig, split: str, task: str, about: dict[str, str]) -
         there = file.metadata.num_rows
     if there > wanted:
         raise DatasetError(
-            f"{path} holds {there} episodes, but {wanted} are wanted. Choose a new "
-            "folder, or delete this file."
+            f"{path} has {there} episodes, more than the requested {wanted}. Choose a "
+            "new folder, or delete this file."
         )
     paths = tuple(parts / f"{index:05d}.parquet" for index in range(wanted))
     return _File(task, split, path, paths, there)
@@ -290,7 +296,7 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
     """Return the entries of the manifest, if there is one.
 
     Raises:
-        DatasetError: The folder holds something other than such a recipe.
+        DatasetError: The folder contains something other than such a recipe.
     """
     begun = (folder / PARTS).exists() or any(folder.glob("*/*.parquet"))
     check_free(folder, begun=begun)
@@ -299,8 +305,8 @@ def _known(folder: Path, about: dict[str, str]) -> dict[str, dict[str, Any]]:
     manifest = read_json(folder / MANIFEST)
     if form := manifest.get("form"):
         raise DatasetError(
-            f"{folder} holds {form!r}, which was rendered from a recipe. Choose "
-            "another folder."
+            f"{folder} contains {form!r}, rendered from a recipe. Choose another "
+            "folder."
         )
     files = listed_files(folder)
     check_same_job(folder, listed_versions(folder), about)
@@ -312,8 +318,8 @@ def _put_together(file: _File, about: dict[str, str]) -> None:
         return
     if gone := [path for path in parts if not path.exists()]:
         raise DatasetError(
-            f"{gone[0]} was made, but is not there. All machines of a cluster must see "
-            "the same folder: choose one on a shared file system."
+            f"{gone[0]} was written, but is missing here. All machines of a cluster "
+            "need the same folder: choose one on a shared file system."
         )
     paths = [file.path, *parts] if file.there else parts
     write_table(file.path, pa.concat_tables(map(read_table, paths)), about)

@@ -1,7 +1,8 @@
-"""Record an instance: the expert works, and keyframes are kept.
+"""Recording of the expert's episodes with keyframes.
 
-For recovery states the execution is perturbed. Executed sub-tasks are replayed, and are
-the memory of a policy; the expert's decisions are the labels that it learns.
+For recovery states the execution is perturbed. The record then has the executed
+sub-tasks, which replays use and policies get as their past, and the expert's decisions,
+which are the labels.
 """
 
 import json
@@ -26,7 +27,7 @@ from lemma.tasks.language.bank import robot_phrases, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 _MAX_STEPS = 30
-"""Sub-tasks that a perturbed episode has at most, as those of the expert alone."""
+"""Largest number of sub-tasks of a perturbed episode, as without perturbation."""
 
 
 def record_episode(instance: Instance) -> EpisodeRecord:
@@ -36,7 +37,7 @@ def record_episode(instance: Instance) -> EpisodeRecord:
         instance: The problem.
 
     Returns:
-        The record; ``success`` says whether the expert managed.
+        The record; ``success`` tells whether the expert solved it.
     """
     episode = Episode(instance)
     keeper = EpisodeRecorder(episode)
@@ -47,13 +48,13 @@ def record_episode(instance: Instance) -> EpisodeRecord:
 
 
 class EpisodeRecorder:
-    """Keeps the keyframes of an episode, and the sub-tasks between them."""
+    """Records the keyframes of an episode and the sub-tasks between them."""
 
     def __init__(self, episode: Episode) -> None:
-        """Watch an episode.
+        """Begin to record.
 
         Args:
-            episode: Just begun.
+            episode: The episode, in its initial state.
         """
         self._episode = episode
         self._times: list[float] = []
@@ -62,7 +63,7 @@ class EpisodeRecorder:
         self._rows: list[SubTaskRecord] = []
 
     def keep(self, step: ExpertStep | None = None) -> None:
-        """Keep the present state, and the sub-task that led to it."""
+        """Record the present state, and the sub-task that led to it."""
         scene = self._episode.simulation.scene
         self._times.append(self._episode.elapsed_s)
         self._states.append(scene.snapshot().astype("<f8").tobytes())
@@ -80,7 +81,7 @@ class EpisodeRecorder:
             )
 
     def columns(self) -> dict[str, Any]:
-        """Return the fields of an :class:`EpisodeRecord`, now that it is over."""
+        """Return the fields of an :class:`EpisodeRecord`, after the episode's end."""
         instance, info = self._episode.instance, self._episode.info()
         return {
             "key": instance.key,
@@ -109,7 +110,7 @@ class EpisodeRecorder:
 
 
 def in_names(instance: Instance, subtask: SubTask) -> dict[str, str]:
-    """Return the columns of a sub-task without poses: its names, and a sentence."""
+    """Return the columns of a sub-task without poses: names and sub-instruction."""
     robot = ""
     if subtask.robot:
         number = instance.scene.robot_names.index(subtask.robot)
@@ -125,18 +126,17 @@ def pose_row(pose: Pose2) -> tuple[float, float, float]:
 
 
 def record_perturbed(instance: Instance, perturbation: Perturbation) -> PerturbedRecord:
-    """Let the expert work on an instance while some of its sub-tasks go wrong.
+    """Let the expert solve an instance while some of its sub-tasks are perturbed.
 
-    At each keyframe an expert without memory decides. The episode ends where it says
-    ``stop``, where it has no plan, where it fails without a perturbation, and when the
-    time is up.
+    At each keyframe an expert without memory decides. The episode ends when it decides
+    ``stop``, has no plan or fails without a perturbation, and when the time is up.
 
     Args:
         instance: The problem.
-        perturbation: How often, and which draw.
+        perturbation: Probability and seed.
 
     Returns:
-        The record; ``success`` says whether the expert managed in spite of it.
+        The record; ``success`` tells whether the expert solved it nevertheless.
     """
     episode = Episode(instance)
     scene = episode.simulation.scene
@@ -163,7 +163,7 @@ def record_perturbed(instance: Instance, perturbation: Perturbation) -> Perturbe
         if episode.is_over:
             break
         if done.kind == NONE and not result.ok:
-            # The expert failed: no label.
+            # The expert failed, so its decision is no label.
             expert[-1] = None
             break
     expert += [None] * (len(kinds) + 1 - len(expert))
@@ -192,7 +192,7 @@ def described(perturbation: Perturbation | None) -> dict[str, str]:
 
 
 def perturbation_of(about: dict[str, str]) -> Perturbation | None:
-    """Return the perturbation that a record names; None if none."""
+    """Return the perturbation in a record; None without one."""
     if not perturbed_as(about):
         return None
     probability, seed = (about[name] for name in PERTURB_KEYS)

@@ -1,8 +1,8 @@
-"""Compare a recipe with itself played again, and with the authors' digests.
+"""Replay of a recipe, and comparison with the published digests.
 
-Every state is compared to the bit when a recipe is played again. The digest of every
-episode of the suite, 128 bits each, is in the package: a recipe that anybody generates
-from the frozen lists is compared with the authors' without fetching anything.
+A replay compares every state bit for bit. The package contains a digest of 128 bits of
+every episode of the suites, so a recipe of the frozen lists can be compared with the
+published one without a download.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 
 _HERE = files("lemma.dataset") / "digests"
 _BINDING = ("format", "benchmark", "mujoco")
-"""Versions that must be the same, or states cannot be."""
+"""Versions that must be equal for equal states."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +34,13 @@ class Replay:
 
     key: str
     drift_at: int | None
-    """First keyframe whose state differs; None where all are equal."""
+    """Index of the first keyframe with a different state; None if all are equal."""
     worst: float
-    """Largest difference of any number of that state."""
+    """Largest absolute difference of the numbers of that state."""
 
     @property
     def is_exact(self) -> bool:
-        """Whether every state was reproduced to the bit."""
+        """Whether every state was reproduced bit for bit."""
         return self.drift_at is None
 
 
@@ -48,20 +48,20 @@ def check_versions(about: dict[str, str]) -> None:
     """Check that this installation can reproduce a recipe.
 
     Raises:
-        DatasetError: It was written with another engine or for another benchmark.
+        DatasetError: The recipe has another version of engine, format or benchmark.
     """
     here = versions(BENCHMARK_VERSION)
     for name in _BINDING:
         if about.get(name) != here[name]:
             raise DatasetError(
-                f"This recipe was written with {name} {about.get(name)}, and here is "
-                f"{here[name]}: states cannot be reproduced. Install that version, or "
-                "generate the recipe again."
+                f"This recipe was written with {name} {about.get(name)}, but "
+                f"{here[name]} is installed, so states cannot be reproduced. Install "
+                "that version, or generate the recipe again."
             )
 
 
 def replay(record: EpisodeRecord) -> Replay:
-    """Execute a record's sub-tasks again and compare with its states."""
+    """Execute a record's sub-tasks again, and compare the states with its own."""
     episode = Episode(Instance.from_dict(record.instance_data()))
     scene = episode.simulation.scene
     drifts: list[Replay] = []
@@ -85,10 +85,10 @@ def replay_all(
     Args:
         recipe: The recipe, or a selection of it.
         engine: Workers that run the jobs.
-        advance: Is told how many further episodes are done.
+        advance: Called with the number of newly finished episodes.
 
     Returns:
-        The episodes that drift; empty if all is well.
+        The outcomes of the episodes that drift; empty if all are exact.
 
     Raises:
         DatasetError: A file is damaged, or of another version.
@@ -111,14 +111,15 @@ def replay_group(path: Path, group: int, rows: tuple[int, ...]) -> list[Replay]:
 
 
 def differing(folder: Path) -> list[str] | None:
-    """Return which episodes of a recipe are not what the authors' came to.
+    """Return the episodes of a recipe that differ from the published ones.
 
     Args:
         folder: The recipe.
 
     Returns:
-        Task, split and index of each: ``"stack/test/3"``; empty if all are equal, None
-        if the authors have made none of its lists, such as those of a user's task.
+        Task, split and index of each, such as ``"stack/test/3"``; empty if all are
+        equal; None if no list of the recipe is published, such as for a user-defined
+        task.
     """
     found: list[str] | None = None
     for name, entry in listed_files(folder).items():
@@ -133,7 +134,7 @@ def differing(folder: Path) -> list[str] | None:
 
 @lru_cache
 def expected_digests(task: str, split: str) -> tuple[str, ...]:
-    """Return what the episodes of a task and split must come to, in order.
+    """Return the published digests of the episodes of a task and split, in order.
 
     Raises:
         UnknownNameError: There is no such list.

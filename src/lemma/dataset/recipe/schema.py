@@ -1,8 +1,8 @@
-"""Columns of a recipe: the only place that defines them.
+"""Definition of the columns of a recipe.
 
-A recipe holds no pictures. It holds the instance, the executed sub-tasks, the full
-integration state of the physics at every keyframe, from which anything can be rendered,
-and a hash of each state, which a replay is compared with.
+A recipe contains no images. It contains the instance, the executed sub-tasks, MuJoCo's
+full integration state at every keyframe, from which images can be rendered, and a hash
+of each state for the comparison with a replay.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 FORMAT_VERSION = "1"
 PERTURB_KEYS = ("perturb", "perturb_seed")
-"""Entries of a record that only recipes of perturbed executions have."""
+"""Entries of a file's record that only recipes of perturbed executions have."""
 
 _WORDS, _REAL = pa.string(), pa.float64()
 _NAMES = ("robot", "primitive", "pick", "place", "instruction")
@@ -39,8 +39,8 @@ _SUBTASK = _struct(
     start_s=_REAL,
     duration_s=_REAL,
 )
-# Poses of any length: not every pyarrow reads Parquet files in which a list of fixed
-# length is null.
+# Lists of variable length for poses: some versions of pyarrow cannot read Parquet files
+# with a null list of fixed length.
 _EXPERT = pa.struct(
     [
         *_struct(**dict.fromkeys(_NAMES, _WORDS)),
@@ -90,7 +90,7 @@ _PERTURBED_COLUMNS: Columns = {
         "What was done to each sub-task before it was executed, or none.",
     ),
 }
-"""The columns that recipes of perturbed executions have beside all others."""
+"""Additional columns of recipes of perturbed executions."""
 
 
 def _schema(columns: Columns) -> pa.Schema:
@@ -117,16 +117,18 @@ class ExpertRecord:
     """The expert's decision at a keyframe."""
 
     robot: str
-    """Empty for ``stop``, as are what to pick and where to place."""
+    """Name of the robot; ``robot``, ``pick`` and ``place`` are empty for ``stop``."""
     primitive: str
     pick: str
     place: str
     instruction: str
-    """The sub-task in words."""
+    """The sub-instruction."""
     pick_pose: tuple[float, float, float] | None
-    """Gripper where it closes: x, y [m], yaw [rad]; None for ``stop``."""
+    """Gripper at the grasp, in the world's frame: x, y [m], yaw [rad]; None for
+    ``stop``."""
     place_pose: tuple[float, float, float] | None
-    """Gripper where the motion ends: x, y [m], yaw [rad]; None for ``stop``."""
+    """Gripper at the end of the motion, in the world's frame: x, y [m], yaw [rad]; None
+    for ``stop``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +136,16 @@ class SubTaskRecord(ExpertRecord):
     """One executed sub-task."""
 
     pick_pose: tuple[float, float, float]
-    """Gripper where it closed: x, y [m], yaw [rad]."""
+    """Gripper at the grasp, in the world's frame: x, y [m], yaw [rad]."""
     place_pose: tuple[float, float, float]
-    """Gripper where the motion ended: x, y [m], yaw [rad]."""
+    """Gripper at the end of the motion, in the world's frame: x, y [m], yaw [rad]."""
     outcome: str
     start_s: float
     duration_s: float
 
     @property
     def grounded(self) -> GroundedSubTask:
-        """The executed sub-task, ready to be executed again."""
+        """The sub-task with poses, for another execution."""
         who = self.robot, Primitive(self.primitive)
         return GroundedSubTask(*who, Pose2(*self.pick_pose), Pose2(*self.place_pose))
 
@@ -175,18 +177,18 @@ class EpisodeRecord:
 
     @property
     def keyframes(self) -> int:
-        """Number of keyframes: one before each sub-task, and the end."""
+        """Number of keyframes: one before each sub-task, and one at the end."""
         return len(self.keyframe_time_s)
 
     def state(self, keyframe: int) -> FloatArray:
-        """Return the integration state at a keyframe."""
+        """Return MuJoCo's integration state at a keyframe, a vector of float64."""
         return np.frombuffer(self.keyframe_state[keyframe], dtype="<f8")
 
     def instance_data(self) -> dict[str, Any]:
         """Return the instance as plain data; ``Instance.from_dict`` reads it.
 
         Raises:
-            DatasetError: It is no JSON object.
+            DatasetError: The text is not a JSON object.
         """
         return parse_json(self.instance, Path(f"the instance of {self.key}"))
 
@@ -208,14 +210,14 @@ class EpisodeRecord:
 
 @dataclass(frozen=True, slots=True)
 class PerturbedRecord(EpisodeRecord):
-    """One episode whose sub-tasks were perturbed now and then; plain data.
+    """One episode with some perturbed sub-tasks; plain data.
 
-    ``subtasks`` are what was executed, so that it is replayed like any other.
+    ``subtasks`` are the executed ones, so it is replayed like any other episode.
     """
 
     expert: tuple[ExpertRecord | None, ...]
-    """The expert's decision at each keyframe; None where it has no plan, where its own
-    sub-task failed, and behind the last one if the time was up."""
+    """The expert's decision at each keyframe. It is None where the expert has no plan
+    or its own sub-task failed, and at the last keyframe if the time was up."""
     perturbation: tuple[str, ...]
     """Perturbation of each sub-task; see :data:`lemma.expert.disturbances.KINDS`."""
 
@@ -228,7 +230,7 @@ class PerturbedRecord(EpisodeRecord):
     def digest(self) -> str:
         """Return the SHA-256 of everything in the record."""
         rows = [row and astuple(row) for row in self.expert]
-        # super() does not know a class with slots.
+        # Not super(): slots create another class.
         summary = json.dumps(
             [EpisodeRecord.digest(self), rows, self.perturbation],
             separators=(",", ":"),
@@ -237,12 +239,12 @@ class PerturbedRecord(EpisodeRecord):
 
 
 def perturbed_as(about: dict[str, str]) -> dict[str, str]:
-    """Return the entries of a record about a perturbation; empty if none."""
+    """Return a file's entries about a perturbation; empty without one."""
     return {name: about[name] for name in PERTURB_KEYS if name in about}
 
 
 def executions(about: dict[str, str]) -> str:
-    """Return in words whether executions were perturbed."""
+    """Return a text about whether executions were perturbed."""
     if not perturbed_as(about):
         return "demonstrations"
     return (
@@ -264,11 +266,11 @@ def from_table(table: pa.Table) -> list[EpisodeRecord]:
 
 
 def describe(*, perturbed: bool = False) -> str:
-    """Return the schema as a Markdown table, for ``docs/dataset_format.md``.
+    """Return the schema as a Markdown table, for cards and documentation.
 
     Args:
-        perturbed: Whether to describe instead the columns that only recipes of
-            perturbed executions have.
+        perturbed: Whether to describe only the additional columns of recipes of
+            perturbed executions.
     """
     return "\n".join(markdown_rows(_PERTURBED_COLUMNS if perturbed else _COLUMNS))
 

@@ -1,4 +1,4 @@
-"""Figures of a recipe, and of perturbed executions; states are not read."""
+"""Statistics of recipes and of perturbed executions; states are not read."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -34,14 +34,14 @@ class Spread:
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> "Spread":
-        """Summarize some numbers, at least one."""
+        """Summarize one or more numbers."""
         found = np.array(numbers, np.float64)
         return cls(float(found.min()), float(found.mean()), float(found.max()))
 
 
 @dataclass(frozen=True, slots=True)
 class GroupSummary:
-    """Figures of a group of episodes."""
+    """Statistics of a group of episodes."""
 
     episodes: int
     solved: int
@@ -51,34 +51,34 @@ class GroupSummary:
     elapsed_s: Spread
     """Simulated time [s]."""
     idle_share: float
-    """Mean part of an episode that a robot waits."""
+    """Mean share of an episode in which a robot waits."""
     margin_m: Spread
-    """How far inside the reach of the robot that acts the gripper closes and opens [m];
-    negative where a tool is led outside of it."""
+    """Distance of the gripper's pick and place poses inside its robot's reach [m];
+    negative where a robot leads a tool outside of it."""
     teams: dict[str, int]
-    """Episodes by team."""
+    """Number of episodes by team."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecipeSummary:
-    """All numbers of a recipe; groups are named by task, split and team."""
+    """Statistics of a recipe, with groups by task, split and team."""
 
     total: GroupSummary
     tasks: dict[str, GroupSummary]
     splits: dict[str, GroupSummary]
     teams: dict[str, GroupSummary]
     primitives_s: dict[str, Spread]
-    """How long each primitive takes [s], the commonest first."""
+    """Simulated duration of each primitive [s], the most frequent first."""
 
 
 def summarize(recipe: Recipe) -> RecipeSummary:
-    """Return the numbers of a recipe, or of a selection of one.
+    """Return the statistics of a recipe, or of a selection of one.
 
     Args:
-        recipe: At least one episode.
+        recipe: One or more episodes.
 
     Raises:
-        DatasetError: It is damaged.
+        DatasetError: A file is damaged.
     """
     rows = [_counted(row) for row in recipe.rows(*_COLUMNS)]
     durations: dict[str, list[float]] = {}
@@ -96,7 +96,7 @@ def summarize(recipe: Recipe) -> RecipeSummary:
 
 
 def _counted(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row with figures of its instance."""
+    """Return a row with numbers of its instance added."""
     instance = parse_json(row["instance"], Path(f"the instance of {row['key']}"))
     margins = []
     for step in row["subtasks"]:
@@ -109,7 +109,7 @@ def _counted(row: dict[str, Any]) -> dict[str, Any]:
 def _groups(
     rows: Sequence[dict[str, Any]], column: str, known: Sequence[str]
 ) -> dict[str, GroupSummary]:
-    """Return the numbers of every group that is there, known names first."""
+    """Return the statistics of every existing group, known names first."""
     names = sorted({row[column] for row in rows})
     names.sort(key=lambda name: known.index(name) if name in known else len(known))
     return {name: _group([r for r in rows if r[column] == name]) for name in names}
@@ -132,28 +132,29 @@ def _group(rows: Sequence[dict[str, Any]]) -> GroupSummary:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryFigures:
-    """Figures of perturbed executions."""
+    """Statistics of perturbed executions."""
 
     episodes: int
     solved: int
-    """Episodes in which the goal was reached nevertheless."""
+    """Number of episodes that reached the goal nevertheless."""
     subtasks: int
-    """Sub-tasks that were executed."""
+    """Number of executed sub-tasks."""
     mistakes: dict[str, int]
-    """Those that were perturbed, by kind."""
+    """Number of perturbed sub-tasks, by kind of perturbation."""
     keyframes: int
-    """Keyframes that have a label."""
+    """Number of keyframes with a label."""
     after: int
-    """Those of them that come after a mistake."""
+    """Number of keyframes with a label that follow a perturbed sub-task."""
     unlabelled: int
-    """Keyframes without a label: no plan, a failure of the expert, no time."""
+    """Number of keyframes without a label: no plan, a failure of the expert, or no time
+    left."""
 
 
 def recovery_figures(recipe: Recipe) -> RecoveryFigures:
-    """Count what is in a recipe of perturbed executions, or in a part of one.
+    """Return the statistics of a recipe of perturbed executions, or of a selection.
 
     Args:
-        recipe: Its states are not read.
+        recipe: The episodes; their states are not read.
     """
     rows = list(recipe.rows("success", "expert", "perturbation"))
     kinds = Counter(kind for row in rows for kind in row["perturbation"])

@@ -1,6 +1,6 @@
-"""Pictures and labels at the keyframes of an episode.
+"""Images and labels at the keyframes of an episode.
 
-Nothing is simulated: the recipe holds the state of every keyframe.
+The recipe contains the state of every keyframe, so nothing is simulated.
 """
 
 import hashlib
@@ -45,7 +45,7 @@ _NOWHERE = (math.nan,) * 3
 
 @dataclass(frozen=True, slots=True)
 class KeyframeForm:
-    """Images of every keyframe, for policies that plan from one to the next."""
+    """Images of every keyframe, for policies that decide at each keyframe."""
 
     width: int = CAMERA_WIDTH_PX
     """Width of camera images [px]."""
@@ -53,11 +53,15 @@ class KeyframeForm:
     """Height of camera images [px]."""
 
     def __post_init__(self) -> None:
-        """Check the size."""
+        """Check the size.
+
+        Raises:
+            InvalidConfigError: The size is not valid.
+        """
         CameraRig(self.width, self.height)
 
     def header(self, versions: dict[str, str]) -> Header:
-        """Return the record that every file has, with the settings and versions."""
+        """Return the header of all files, with settings and versions."""
         return Header(
             form=FORM,
             part=PARTS[0],
@@ -84,17 +88,17 @@ class KeyframeForm:
             paths: Files, in the order of ``PARTS``.
             records: The episodes.
             digests: Their digests in the recipe.
-            header: The record that :meth:`header` returned.
+            header: The header from :meth:`header`.
 
         Raises:
-            DatasetError: A state is not the one that was recorded.
+            DatasetError: A state does not have its recorded hash.
             RenderingError: OpenGL does not work here.
         """
         robots = {len(record.instance_data()["robots"]) for record in records}
         if len(robots) != 1:
             raise InvalidConfigError(
-                f"Teams of {sorted(robots)} robots do not fit into one file. Put them "
-                "into different tasks."
+                f"Teams of {sorted(robots)} robots do not fit into one file. Use "
+                "different tasks for them."
             )
         counts = tuple(_count(record) for record in records)
         mine = replace(header, robots=max(robots), digests=digests, keyframes=counts)
@@ -109,7 +113,7 @@ class KeyframeForm:
             record: The episode.
 
         Raises:
-            DatasetError: A state is not the one that was recorded.
+            DatasetError: A state does not have its recorded hash.
             RenderingError: OpenGL does not work here.
         """
         instance = Instance.from_dict(record.instance_data())
@@ -129,10 +133,10 @@ class KeyframeForm:
 
 
 def stored(view: View) -> Row:
-    """Return what is seen as it is stored.
+    """Return a view as columns.
 
-    Depths and heights are seen in the steps in which they are stored, so that what is
-    read is what was seen, and maps can be fused again, with another raster for example.
+    Depths and heights of a view are already multiples of the stored unit, so storage
+    loses nothing, and maps can be fused again, for example with another raster.
     """
     images = view.cameras.values()
     return {
@@ -151,12 +155,12 @@ def stored(view: View) -> Row:
 
 @lru_cache(maxsize=1)
 def rig_of(width: int, height: int) -> CameraRig:
-    """Return the cameras of this process: starting them takes longer than a picture."""
+    """Return cached cameras, since their creation takes longer than an image."""
     return CameraRig(width, height)
 
 
 def episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
-    """Return the columns that are the same in all keyframes of an episode."""
+    """Return the columns with the same values in all keyframes of an episode."""
     robots = instance.scene.robots
     return {
         "key": record.key,
@@ -176,18 +180,18 @@ def episode_columns(record: EpisodeRecord, instance: Instance) -> Row:
 
 
 def _count(record: EpisodeRecord) -> int:
-    """Return how many keyframes there are to see: those that have a label."""
+    """Return the number of keyframes to render: those with a label."""
     if isinstance(record, PerturbedRecord):
         return record.labelled
     return record.keyframes
 
 
 def label(record: EpisodeRecord, subtask: int) -> dict[str, str]:
-    """Return a sub-task of an episode in symbols and in words.
+    """Return the names and the sub-instruction of a sub-task.
 
     Args:
         record: The episode.
-        subtask: Its number; behind the last comes ``stop``, with no names.
+        subtask: Index of the sub-task; ``stop`` follows the last, with empty names.
     """
     if subtask == len(record.subtasks):
         words = sub_instruction("", str(STOP.primitive))
@@ -201,7 +205,11 @@ def _names(row: ExpertRecord) -> dict[str, str]:
 
 
 def _labels(record: EpisodeRecord, keyframe: int) -> Row:
-    """Return what comes next; in perturbed executions what should, and what came."""
+    """Return the label of a keyframe.
+
+    In perturbed executions, the label is the expert's decision, and the executed
+    sub-task is added.
+    """
     is_last = keyframe == len(record.subtasks)
     row = None if is_last else record.subtasks[keyframe]
     done = {
@@ -225,7 +233,7 @@ def _labels(record: EpisodeRecord, keyframe: int) -> Row:
 
 
 def entity_poses(poses: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the poses of all entities, (entities, 7); NaN where one is missing.
+    """Return the poses of all entities, (entities, 7); NaN for missing ones.
 
     Args:
         poses: Position [m] and quaternion wxyz by name, (7,) each.
@@ -242,5 +250,5 @@ def _check_state(record: EpisodeRecord, keyframe: int) -> None:
     if hashlib.sha256(state).hexdigest() != record.keyframe_sha256[keyframe]:
         raise DatasetError(
             f"The state of keyframe {keyframe} of {record.key} is damaged. Delete its "
-            "file of the recipe and run 'lemma generate' again."
+            "file in the recipe and run 'lemma generate' again."
         )

@@ -1,7 +1,7 @@
-"""Rendered keyframes for training: a map-style data set, and one that is in memory.
+"""Rendered keyframes for training: a map-style data set, and one in memory.
 
-Both give NumPy arrays; ``torch.utils.data.DataLoader`` takes them as they are. Neither
-MuJoCo nor torch is needed.
+Both return NumPy arrays and work with ``torch.utils.data.DataLoader``. They need
+neither MuJoCo nor torch.
 """
 
 import glob
@@ -54,45 +54,45 @@ LABELS = (
 )
 """Labels of a policy's decision."""
 POLICY_COLUMNS = (*LABELS, "arms", "bases", "joints", "opening_m", "sub_instruction")
-"""Columns that a policy needs beside its images and the instruction."""
+"""Columns that a policy needs besides its images and the instruction."""
 MAP_COLUMNS = ("map_rgb", "map_height")
 CAMERA_COLUMNS = ("intrinsics", "world_from_camera", "rgb", "depth")
 
 _OPEN_FILES = 600
-"""Files open at a time: each takes a descriptor, and systems allow 1024."""
+"""Largest number of open files; systems often allow 1024 descriptors."""
 SHARED = ".maps"
-"""Folder, in a data set, of maps that processes share."""
+"""Folder in a data set with the maps that processes share."""
 _THREADS = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Files side by side, with the same keyframes."""
+    """Files of all parts with the same keyframes."""
 
     task: str
     split: str
     paths: dict[str, Path]
-    """By part."""
+    """Files by part."""
     header: Header
-    """Header of the maps."""
+    """Header of the file with maps."""
 
 
 def keyframe_shards(folder: Path, split: str, tasks: Sequence[str] = ()) -> list[Shard]:
     """Return the files of a split of rendered keyframes.
 
     Args:
-        folder: Written by ``lemma render --form keyframes``.
+        folder: Output folder of ``lemma render --form keyframes``.
         split: Name of a split.
         tasks: Names of tasks; all if empty.
 
     Raises:
-        DatasetError: Files are missing, cut short, or of another version.
+        DatasetError: Files are missing, truncated, or of another version.
         UnknownNameError: There is no such split or task.
     """
     files = read_manifest(folder, FORM)
     for name, entry in files.items():
         _check_size(folder / name, entry)
-    # Such as maps/train/stack-003.arrow.
+    # Paths are like maps/train/stack-003.arrow.
     paths = [path for path in map(Path, files) if path.parts[0] == PARTS[0]]
     known("split in this data set", split, sorted({p.parent.name for p in paths}))
     found = [(p.stem.rpartition("-")[0], p) for p in paths if p.parent.name == split]
@@ -112,21 +112,21 @@ def _check_size(path: Path, entry: dict[str, Any]) -> None:
         size = path.stat().st_size
     except OSError as error:
         raise DatasetError(
-            f"{path} is missing. Run 'lemma render' again: it makes what is missing."
+            f"{path} is missing. Run 'lemma render' again, which makes missing files."
         ) from error
     if size != entry.get("bytes"):
         raise DatasetError(
-            f"{path} has {size} bytes, but {MANIFEST} says {entry.get('bytes')}: it "
-            "was cut short or changed. Delete it and run 'lemma render' again."
+            f"{path} has {size} bytes, but {entry.get('bytes')} in {MANIFEST}: it was "
+            "truncated or changed. Delete it and run 'lemma render' again."
         )
 
 
 class KeyframeDataset:
-    """Keyframes of a split: ``len(dataset)`` and ``dataset[i]``, nothing else to do.
+    """Map-style data set of the keyframes of a split.
 
-    Samples are dictionaries of the columns asked for, ``instruction``, and, with the
-    map's height, ``map_coverage``: whether a camera sees the cell. Files are opened
-    when they are first needed, in each thread for itself.
+    A sample is a dictionary with the chosen columns and ``instruction``. With the map's
+    height it also has ``map_coverage``: whether a camera sees each cell. Each thread
+    opens files when it first needs them.
     """
 
     def __init__(
@@ -137,17 +137,17 @@ class KeyframeDataset:
         columns: Sequence[str] = (*MAP_COLUMNS, *POLICY_COLUMNS),
         language: Language = RECORDED,
     ) -> None:
-        """Open the data set; no keyframe is read.
+        """Open the data set without reading keyframes.
 
         Args:
-            folder: Written by ``lemma render --form keyframes``.
+            folder: Output folder of ``lemma render --form keyframes``.
             split: Name of a split.
             tasks: Names of tasks; all if empty.
-            columns: Contents of a sample; see ``docs/rendered_format.md``.
+            columns: Columns of a sample; see ``docs/rendered_format.md``.
             language: Source of the instructions.
 
         Raises:
-            DatasetError: Files are missing, cut short, or of another version.
+            DatasetError: Files are missing, truncated, or of another version.
             UnknownNameError: There is no such split, task or column.
         """
         if language.instructions == "recorded":
@@ -169,11 +169,11 @@ class KeyframeDataset:
         return self._ends[-1]
 
     def __getitem__(self, index: int | Indices) -> Sample:
-        """Return a keyframe; for several indices, :meth:`batch` of them.
+        """Return a keyframe; for several indices, their :meth:`batch`.
 
         Raises:
-            IndexError: There are not so many.
-            DatasetError: Its file is damaged.
+            IndexError: There are fewer keyframes.
+            DatasetError: A file is damaged.
         """
         if not isinstance(index, int | np.integer):
             return self.batch(index)
@@ -192,25 +192,28 @@ class KeyframeDataset:
         return sample
 
     def set_epoch(self, epoch: int) -> None:
-        """Draw other sentences from now on, where they are resampled.
+        """Draw new sentences from now on, if they are resampled.
 
-        Workers of a data loader have copies of this object: call it before they start.
-        Persistent workers never learn of it.
+        Workers of a data loader have copies of this object, so call this before they
+        start. It has no effect on persistent workers.
+
+        Args:
+            epoch: Number of the epoch.
         """
         self.epoch = epoch
         self._drawn = {}
 
     def batch(self, indices: Indices, out: Sample | None = None) -> Sample:
-        """Return keyframes stacked: arrays with one row for each, lists of texts.
+        """Return stacked keyframes: arrays (n, ...) and lists of n texts.
 
-        Faster than stacking samples, which by then have left the processor's cache.
-        ``DataLoader(dataset, batch_size=None, sampler=BatchSampler(...))`` asks for
+        This is faster than stacking samples, which are no longer in the processor's
+        cache. ``DataLoader(dataset, batch_size=None, sampler=BatchSampler(...))`` gets
         batches in this way.
 
         Args:
-            indices: Which keyframes; at least one.
-            out: A batch of the same size whose arrays are used again: much of the time
-                goes into new memory.
+            indices: Indices of one or more keyframes.
+            out: A batch of the same size whose arrays are reused, which saves the time
+                for allocation.
         """
         stacked: Sample = {}
         for row, index in enumerate(indices):
@@ -226,22 +229,22 @@ class KeyframeDataset:
         return stacked
 
     def episodes(self) -> list[range]:
-        """Return the indices of every episode's keyframes, in order."""
+        """Return the range of keyframe indices of every episode, in order."""
         counts = [count for shard in self.shards for count in shard.header.keyframes]
         ends = list(accumulate(counts))
         return [range(end - n, end) for end, n in zip(ends, counts, strict=True)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out open files, which belong to a thread, and drawn sentences."""
+        """Return the state for pickling, without open files and drawn sentences."""
         return {**self.__dict__, "_local": None, "_sources": {}, "_drawn": {}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Begin with nothing open."""
+        """Restore the state, without open files."""
         self.__dict__.update(state)
         self._local = threading.local()
 
     def _open(self, shard: int, part: str, columns: tuple[str, ...]) -> KeyframeFile:
-        """Return an open file of this thread of this process."""
+        """Return an open file of the present thread and process."""
         mine = self._local.__dict__
         if mine.get("process") != os.getpid():
             mine["process"], mine["files"] = os.getpid(), {}
@@ -286,7 +289,7 @@ class KeyframeDataset:
 def _by_part(
     columns: Sequence[str], language: Language, header: Header
 ) -> dict[str, tuple[str, ...]]:
-    """Return which columns to read from which part.
+    """Return the columns to read, by part.
 
     Raises:
         UnknownNameError: There is no such column.
@@ -309,18 +312,18 @@ def _by_part(
 
 @dataclass(frozen=True)
 class MapsInMemory:
-    """The maps of all keyframes of a split, with their labels, for the fastest loop.
+    """The maps and labels of all keyframes of a split in memory, for fast training.
 
-    0.9 MB per keyframe with maps of the usual size.
+    A keyframe takes 0.9 MB with maps of the usual size.
     """
 
     rgb: NDArray[np.uint8]
-    """Shape (N, rows, columns, 3)."""
+    """Colors of the maps, shape (N, rows, columns, 3)."""
     height: NDArray[np.uint16]
-    """As stored: 1 + height above ``raster.floor_m`` [0.1 mm], 0 where no camera sees;
-    shape (N, rows, columns)."""
+    """Stored heights: 1 + height above ``raster.floor_m`` [0.1 mm], 0 where no camera
+    sees; shape (N, rows, columns)."""
     columns: dict[str, NDArray[Any]]
-    """The other columns, each of length N; texts as objects."""
+    """The other columns, each of length N; texts have dtype object."""
     raster: Raster
 
     def __len__(self) -> int:
@@ -329,12 +332,12 @@ class MapsInMemory:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all images."""
+        """Size of all maps [bytes]."""
         return self.rgb.nbytes + self.height.nbytes
 
     @cached_property
     def coverage(self) -> NDArray[np.bool_]:
-        """Where a camera sees, shape (N, rows, columns); computed once."""
+        """Whether a camera sees each cell, shape (N, rows, columns); computed once."""
         return self.height > 0
 
     @classmethod
@@ -348,17 +351,17 @@ class MapsInMemory:
         *,
         shared: bool = False,
     ) -> "MapsInMemory":
-        """Read everything; the arguments are those of :class:`KeyframeDataset`.
+        """Read all keyframes of a split.
 
         Args:
-            folder: The data set.
+            folder: Output folder of ``lemma render --form keyframes``.
             split: Name of a split.
             tasks: Names of tasks; all if empty.
-            columns: Besides the maps.
-            language: Which sentences.
+            columns: Columns besides the maps.
+            language: Source of the instructions.
             shared: Whether processes of this machine share the maps: the first writes
-                them uncompressed into the folder ``.maps`` of the data set, and all map
-                that file into their memory. Maps of earlier content are deleted.
+                them uncompressed into the folder ``.maps`` of the data set, and all
+                memory-map these files. Maps of earlier content are deleted.
 
         Raises:
             DatasetError: Files are missing or damaged, or the maps cannot be written.
@@ -382,7 +385,7 @@ class MapsInMemory:
             del sample["map_coverage"]
             return sample
 
-        # Allocation and decompression take most of the time, and release the lock.
+        # Allocation and decompression take most of the time and release the GIL.
         with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
             rows = list(pool.map(read, range(count)))
         return cls(rgb, height, _by_column(rows), raster)
@@ -391,14 +394,14 @@ class MapsInMemory:
 def _shared_maps(
     folder: Path, split: str, tasks: Sequence[str], shards: Sequence[Shard]
 ) -> list[NDArray[Any]]:
-    """Return color and heights of maps, mapped from files that the first one writes.
+    """Return memory-mapped colors and heights; the first process writes the files.
 
     Raises:
         DatasetError: The files cannot be written or read.
     """
     place = folder / SHARED
     stem = "-".join((split, *tasks))
-    # Named by content: the files of the folder may have been replaced.
+    # Names depend on the content, since files of the data set may be replaced.
     files = listed_files(folder)
     names = (shard.paths["maps"].relative_to(folder).as_posix() for shard in shards)
     sums = "".join(files[name]["sha256"] for name in names)
@@ -413,7 +416,7 @@ def _shared_maps(
                 maps = MapsInMemory.load(folder, split, tasks, ())
                 _save(paths[0], maps.rgb)
                 _save(paths[1], maps.height)
-            # Writable, as torch asks; a page that is written to is copied.
+            # Copy-on-write, since torch requires writable arrays.
             return [np.load(path, mmap_mode="c") for path in paths]
     except (OSError, ValueError) as error:
         raise DatasetError(

@@ -1,8 +1,7 @@
-"""Pictures and labels before every key pose of an episode.
+"""Images and labels before every key pose of an episode.
 
-The expert's key poses are carried out anew, through the same executor as a policy's, so
-that a policy sees in use what it saw in training. Of a recipe only the instances are
-read.
+The expert's key poses are executed again, by the executor that policies use, so that
+training and evaluation have the same states. Only the instances of a recipe are read.
 """
 
 import math
@@ -51,16 +50,16 @@ _MOST_KEY_POSES = 40
 
 @dataclass(frozen=True, slots=True)
 class KeyPoseForm(KeyframeForm):
-    """Maps before every key pose, for policies that move from one to the next."""
+    """Maps before every key pose, for policies that predict the next key pose."""
 
     missed: float = 0.0
-    """Share of places that are missed by some centimetres, so that there are frames of
-    what to do then."""
+    """Share of placements that are missed by some centimetres, which adds frames of
+    recovery."""
 
     def header(self, versions: dict[str, str]) -> Header:
-        """Return the record that every file has, with the settings and versions."""
+        """Return the header of all files, with settings and versions."""
         settings = {**versions, KEY_POSES: "1", "missed": f"{self.missed:g}"}
-        # Not super(): slots make another class of this one.
+        # Not super(): slots create another class.
         return KeyframeForm.header(self, settings)
 
     def write(
@@ -70,9 +69,9 @@ class KeyPoseForm(KeyframeForm):
         digests: tuple[str, ...],
         header: Header,
     ) -> None:
-        """Play and picture some episodes; those that fail have no rows.
+        """Play and render some episodes; failed ones have no rows.
 
-        The arguments and errors are those of :meth:`KeyframeForm.write`.
+        Arguments and errors are those of :meth:`KeyframeForm.write`.
         """
         played = [list(self.rows(record)) for record in records]
         mine = replace(
@@ -142,7 +141,7 @@ class KeyPoseForm(KeyframeForm):
         return []
 
     def _missed(self, key: KeyPose, rng: np.random.Generator) -> KeyPose:
-        """Return a key pose that is missed now and then."""
+        """Return a key pose, moved at random with probability :attr:`missed`."""
         if key.kind is not Kind.PUT or rng.random() >= self.missed:
             return key
         away, way = rng.uniform(0.02, 0.10), rng.uniform(-math.pi, math.pi)

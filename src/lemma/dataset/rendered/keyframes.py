@@ -1,9 +1,9 @@
-"""Files of rendered keyframes: columns, writing, and reading any keyframe at once.
+"""Files of rendered keyframes: columns, writing, and random access.
 
-An Arrow file holds the keyframes of some episodes, one record batch for each, so that
-any keyframe is found at once. Images are Arrow tensors: any Arrow library reads them.
-Data that policies need of every keyframe (map, joints, labels, sentences), and camera
-images, which few need, are in separate files with the same rows.
+An Arrow file contains the keyframes of some episodes, one record batch per keyframe,
+for random access. Images are Arrow tensors, which any Arrow library reads. Camera
+images, which few policies need, are in files separate from the other data (map, joints,
+labels, sentences), with the same rows.
 
 Lengths are stored as ``uint16`` in units of 0.1 mm; see :mod:`lemma.scene.raster`.
 
@@ -29,7 +29,7 @@ from lemma.dataset.recipe.schema import Columns, markdown_rows, perturbed_as
 from lemma.scene.raster import RASTER, Raster
 
 WRITTEN_BY = "lemma render"
-"""The command that writes them."""
+"""The command that writes these files."""
 FORM = "keyframes"
 KEYFRAMES_VERSION = "1"
 PARTS = ("maps", "cameras")
@@ -51,8 +51,8 @@ _EXECUTED_COLUMNS: Columns = {
         "Kind of mistake that was made; none where none was.",
     ),
 }
-"""Columns that only files of perturbed executions have: what was done there, where the
-label is what the expert would do."""
+"""Additional columns of perturbed executions, with the executed sub-task; the label is
+the expert's decision."""
 _KEY_POSE_COLUMNS: Columns = {
     "kind": (pa.string(), "What happens at the next key pose, such as pick or put."),
     "key_pose": (
@@ -60,13 +60,14 @@ _KEY_POSE_COLUMNS: Columns = {
         "Gripper at the next key pose: x, y, z [m], yaw [rad].",
     ),
 }
-"""Columns that only files of key poses have; robot is who goes there, and the sub-task
-is the one that it belongs to."""
+"""Additional columns of files of key poses; ``robot`` and the sub-task are those of the
+key pose."""
 KEY_POSES = "key_poses"
-"""Tells, among the versions, that files hold key poses."""
+"""Entry among the versions that marks files of key poses."""
 _PER_FILE = ("part", "robots", "digests", "keyframes")
 _CODECS = {
-    # Maps are read thousands of times a second, camera images are most of the bytes.
+    # Fast for maps, which training reads often; small for camera images, which are
+    # most of the data.
     "maps": pa.Codec("lz4"),
     "cameras": pa.Codec("zstd", compression_level=3),
 }
@@ -77,18 +78,18 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The record in a file."""
+    """The header of a file: settings, versions and episodes."""
 
     form: str
     part: str
     """One of :data:`PARTS`."""
     version: str
     versions: dict[str, str]
-    """See :func:`lemma.dataset.recipe.files.versions`."""
+    """Versions, see :func:`lemma.dataset.recipe.files.versions`."""
     renderer: str
-    """Software that drew the images; another one may draw other pixels."""
+    """Rendering software; another one may give other pixels."""
     robots: int
-    """Robots, and cameras, of every episode."""
+    """Number of robots and of cameras in every episode."""
     width: int
     """Width of camera images [px]."""
     height: int
@@ -99,36 +100,40 @@ class Header:
     digests: tuple[str, ...] = ()
     """Digests of the episodes in the recipe, in the order of the file."""
     keyframes: tuple[int, ...] = ()
-    """Number of keyframes of each of them."""
+    """Number of keyframes of each of these episodes."""
 
     @property
     def perturbed(self) -> bool:
-        """Whether executions were perturbed, so that labels are not what was done."""
+        """Whether executions were perturbed, so labels differ from executions."""
         return bool(perturbed_as(self.versions))
 
     @property
     def key_poses(self) -> bool:
-        """Whether there is a keyframe for every key pose, without camera images."""
+        """Whether rows are key poses, without camera images."""
         return KEY_POSES in self.versions
 
     @classmethod
     def from_json(cls, path: Path, text: bytes | None) -> "Header":
-        """Read the record of a file.
+        """Read the header of a file.
+
+        Args:
+            path: The file, for error messages.
+            text: The header's JSON; None if the file has none.
 
         Raises:
-            DatasetError: It is no such file, or of another version.
+            DatasetError: The file has no rendered keyframes, or another version.
         """
         data = parse_json(text, path) if text else {}
         if data.get("form") != FORM:
             raise DatasetError(
-                f"{path} holds no rendered keyframes. 'lemma render --form keyframes' "
+                f"{path} has no rendered keyframes. 'lemma render --form keyframes' "
                 "makes them from a recipe."
             )
         versions = data.get("versions")
         if data.get("version") != KEYFRAMES_VERSION:
             by = versions.get("lemma") if isinstance(versions, dict) else None
             raise DatasetError(
-                f"{path} has version {data.get('version')} of the keyframe format, and "
+                f"{path} has version {data.get('version')} of the keyframe format, but "
                 f"this package reads version {KEYFRAMES_VERSION}. Install the version "
                 f"that wrote it ({by}), or render it again."
             )
@@ -138,7 +143,7 @@ class Header:
             raise DatasetError(damaged(path, error, WRITTEN_BY)) from error
 
     def about(self) -> dict[str, Any]:
-        """Return the settings and versions that decide the bytes of all files."""
+        """Return the settings and versions that determine the bytes of all files."""
         return {n: value for n, value in asdict(self).items() if n not in _PER_FILE}
 
     def schema(self) -> pa.Schema:
@@ -156,7 +161,7 @@ def _tensor(scalar: pa.DataType, *shape: int) -> pa.DataType:
 
 
 def describe() -> str:
-    """Return all columns as Markdown, for ``docs/rendered_format.md``."""
+    """Return all columns as Markdown, for cards and documentation."""
     header = Header(FORM, "", "", {}, "", 2, 640, 480, RASTER, ("",) * 11)
     lines = []
     for part, columns in zip(PARTS, (map_columns, camera_columns), strict=True):
@@ -235,17 +240,17 @@ def camera_columns(header: Header) -> Columns:
 
 
 def write_keyframes(files: Sequence[tuple[Path, Header]], rows: Iterable[Row]) -> None:
-    """Write files side by side, each whole or not at all.
+    """Write files with the same rows, each completely or not at all.
 
     Only one row is in memory at a time.
 
     Args:
-        files: The files, and what they say about themselves.
-        rows: The keyframes, with the columns of all the files, in the order of the
-            headers' episodes.
+        files: The files and their headers.
+        rows: The keyframes, with the columns of all files, in the order of the headers'
+            episodes.
 
     Raises:
-        DatasetError: They cannot be written.
+        DatasetError: A file cannot be written.
     """
 
     def open_rest(writers: list[pa.ipc.RecordBatchFileWriter]) -> None:
@@ -259,7 +264,7 @@ def write_keyframes(files: Sequence[tuple[Path, Header]], rows: Iterable[Row]) -
         def write(draft: Path) -> None:
             options = pa.ipc.IpcWriteOptions(
                 compression=_CODECS[header.part],
-                # Many processes write at the same time.
+                # Many processes write at the same time, so threads are of no use.
                 use_threads=False,
             )
             with (
@@ -290,23 +295,23 @@ def _array(value: Any, kind: pa.DataType) -> pa.Array:
 
 @cache
 def _dtype(scalar: pa.DataType) -> np.dtype[Any]:
-    """Return NumPy's name for a type of numbers; pyarrow's own way may need pandas."""
+    """Return the NumPy type of an Arrow type; pyarrow's own method may need pandas."""
     dtype: np.dtype[Any] = pa.array([], scalar).to_numpy().dtype
     return dtype
 
 
 def mapped(path: Path) -> pa.NativeFile:
-    """Return a file in memory, which several threads may read.
+    """Return a memory-mapped file, which several threads may read.
 
     Raises:
-        DatasetError: It is missing, or empty.
+        DatasetError: The file is missing or empty.
     """
     with explained(path, WRITTEN_BY):
         return pa.memory_map(str(path))
 
 
 class KeyframeFile:
-    """An open file: any row at once."""
+    """An open file with random access to its rows."""
 
     def __init__(
         self,
@@ -314,16 +319,17 @@ class KeyframeFile:
         columns: Sequence[str] | None = None,
         source: pa.NativeFile | None = None,
     ) -> None:
-        """Open a file; nothing of it is read but its table of contents.
+        """Open a file, and read only its table of contents.
 
         Args:
             path: The file.
             columns: Names of columns to read; all if None.
-            source: The file as :func:`mapped` returned it, maybe to others too.
+            source: The file from :func:`mapped`, which several objects may share; None
+                to open it here.
 
         Raises:
-            DatasetError: It is missing, cut short, or not of this format.
-            UnknownNameError: It has no such column.
+            DatasetError: The file is missing, truncated, or not of this format.
+            UnknownNameError: The file has no such column.
         """
         self.path = path
         self._source = mapped(path) if source is None else source
@@ -348,7 +354,7 @@ class KeyframeFile:
 
     @cached_property
     def _kinds(self) -> list[tuple[str, pa.DataType]]:
-        # As they are in a batch: without the columns that nobody asked for.
+        # The schema of a batch has only the chosen columns.
         return [(f.name, f.type) for f in self._reader.get_batch(0).schema]
 
     def __len__(self) -> int:
@@ -357,7 +363,7 @@ class KeyframeFile:
         return count
 
     def __getitem__(self, row: int) -> Row:
-        """Return a keyframe; arrays belong to the caller, who may change them.
+        """Return a keyframe; its arrays are copies, which the caller may change.
 
         Raises:
             DatasetError: The file is damaged.
@@ -371,7 +377,7 @@ class KeyframeFile:
 
 
 def _value(column: pa.Array, kind: pa.DataType) -> Any:
-    """Return the one value of a column; an array can be written to."""
+    """Return the single value of a column; arrays are writable."""
     if not isinstance(kind, pa.FixedShapeTensorType):
         return column[0].as_py()
     buffer = column.storage.values.buffers()[1]

@@ -1,9 +1,9 @@
-"""Render a recipe: images of its keyframes.
+"""Rendering of a recipe: images of its keyframes.
 
-The work is divided by the row groups of the recipe. One job writes the files of a
-group, each whole or not at all. A run that was killed loses the groups it was working
-on, and the next run continues there. The same recipe gives
-the same bytes, wherever it was interrupted; for images, on machines that draw alike.
+Each job writes the files of one row group of the recipe, each file completely or not at
+all. A killed run loses only unfinished groups; the next run continues. The same recipe
+gives the same bytes with or without interruptions; for images this holds for machines
+with the same rendering.
 """
 
 from collections.abc import Callable, Iterator
@@ -53,27 +53,27 @@ class RenderConfig:
     """Folder of the recipe. An export to LeRobot also takes a file of an episode that
     was led by hand, or a folder of such files."""
     out: Path
-    """Folder to write."""
+    """Output folder."""
     tasks: tuple[str, ...] = ()
     """Names of tasks; all of the recipe if empty."""
     splits: tuple[str, ...] = ()
     """Names of splits; all of the recipe if empty."""
 
     def groups(self) -> list[tuple[Path, int, tuple[int, ...]]]:
-        """Return the row groups of the recipe that are wanted: file, number, rows.
+        """Return the selected row groups of the recipe: file, number, rows.
 
         A file of an episode that was led by hand is a group of one row.
 
         Raises:
             DatasetError: There is no recipe.
-            InvalidConfigError: Tasks or splits are named of what was led by hand.
+            InvalidConfigError: Tasks or splits are named for episodes led by hand.
             UnknownNameError: The recipe has no such task or split.
         """
         led = files_in(self.recipe)
         if led and (self.tasks or self.splits):
             raise InvalidConfigError(
-                "Episodes that were led by hand are chosen by their files, not by task "
-                "or split. Leave --tasks and --splits out."
+                "Episodes that were led by hand are selected by their files, not by "
+                "task or split. Leave out --tasks and --splits."
             )
         if led:
             return [(path, 0, (0,)) for path in led]
@@ -93,13 +93,13 @@ class RenderConfig:
         ]
 
     def episodes(self) -> int:
-        """Return how many episodes are wanted."""
+        """Return the number of selected episodes."""
         return sum(len(rows) for *_, rows in self.groups())
 
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """The episodes of one row group of the recipe, and the files made from them."""
+    """The episodes of one row group of the recipe, and their output files."""
 
     source: Path
     group: int
@@ -112,13 +112,13 @@ class RenderSummary:
     """The outcome of a run."""
 
     episodes: int
-    """Episodes of the order; all exist now."""
+    """Number of selected episodes, which all exist now."""
     rows: int
-    """Keyframes, steps or frames of the whole folder."""
+    """Number of keyframes, steps or frames in the folder."""
     made: int
-    """Episodes that this run made."""
+    """Number of episodes that this run made."""
     seconds: float
-    """Time that this run took [s]."""
+    """Duration of this run [s]."""
     size_mb: float
     """Size of all files of the folder [MB]."""
 
@@ -129,20 +129,20 @@ def render(
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> RenderSummary:
-    """Write the files that are missing.
+    """Write missing files.
 
     Args:
         order: Options of the rendering.
         form: Options of the images.
         engine: Workers that run the jobs.
-        advance: Is told how many episodes are done already, then of each further one.
+        advance: Called with the numbers of existing and of newly finished episodes.
 
     Returns:
         The outcome.
 
     Raises:
-        DatasetError: The recipe cannot be read here, what is there was made from
-            another one or by another version, or something cannot be written.
+        DatasetError: The recipe cannot be read here, existing files were made from
+            another recipe or by another version, or a file cannot be written.
         UnknownNameError: The recipe has no such task or split.
     """
     start = perf_counter()
@@ -186,13 +186,13 @@ def render(
 
 
 def _absolute(chunk: _Chunk) -> _Chunk:
-    """Return a chunk with paths that hold in workers with another working folder."""
+    """Return a chunk with absolute paths, for workers with another working folder."""
     paths = tuple(path.absolute() for path in chunk.paths)
     return replace(chunk, source=chunk.source.absolute(), paths=paths)
 
 
 def render_chunk(form: KeyframeForm, chunk: _Chunk, header: Header) -> None:
-    """Make the files of one row group."""
+    """Write the files of one row group."""
     records = read_group(chunk.source, chunk.group)
     form.write(chunk.paths, records, chunk.digests, header)
 
@@ -207,7 +207,7 @@ def _chunks(
     """
     files = listed_files(order.recipe)
     rows_so_far: dict[Path, int] = {}
-    # Groups of a file come in order, so their rows are counted from the first one.
+    # Groups of a file are in order, so rows of a group follow those of the former ones.
     for source, group, rows in groups:
         name = source.relative_to(order.recipe).as_posix()
         first = rows_so_far.get(source, 0)
@@ -215,8 +215,8 @@ def _chunks(
         digests = files.get(name, {}).get("digests", [])[first : rows_so_far[source]]
         if len(digests) != len(rows):
             raise DatasetError(
-                f"{MANIFEST} does not say what is in {source}: the recipe is not "
-                "complete. Run 'lemma generate' again."
+                f"{MANIFEST} has no entry for {source}: the recipe is not complete. "
+                "Run 'lemma generate' again."
             )
         place = Path(source.parent.name, f"{source.stem}-{group:03d}{SUFFIX}")
         paths = tuple(order.out / part / place for part in keyframes.PARTS)
@@ -224,10 +224,10 @@ def _chunks(
 
 
 def _is_there(chunk: _Chunk, there: dict[Path, Header]) -> bool:
-    """Return whether the files of a chunk are there, with all its episodes.
+    """Return whether the files of a chunk exist with all its episodes.
 
     Raises:
-        DatasetError: They were made from other episodes.
+        DatasetError: The files were made from other episodes.
     """
     found = [there[path].digests for path in chunk.paths if path in there]
     for path, digests in zip(chunk.paths, found, strict=False):
@@ -251,8 +251,8 @@ def _look(
     """Return headers and checksums of the files that exist.
 
     Raises:
-        DatasetError: One is of another job, damaged, or changed since it was written,
-            or the folder holds something else.
+        DatasetError: A file is of another job, damaged, or changed since it was
+            written, or the folder contains something else.
     """
     known: dict[str, dict[str, Any]] = {}
     paths = _files(folder)
@@ -270,7 +270,7 @@ def _look(
 
 
 def _listed(folder: Path, sums: dict[Path, str]) -> dict[str, dict[str, Any]]:
-    """Return the entries of all files for the manifest; some checksums are known."""
+    """Return the manifest's entries of all files; compute unknown checksums."""
     files = {}
     for path in _files(folder):
         header = KeyframeFile(path).header

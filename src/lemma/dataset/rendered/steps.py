@@ -1,8 +1,8 @@
-"""An episode step by step, at any rate: the recipe's sub-tasks are executed again.
+"""Steps of an episode at any rate, from a repeated execution of its sub-tasks.
 
-A recipe holds keyframes only. The motion between them is computed: the same sub-tasks
-from the same start give the same motion to the bit, and the hashes of the keyframes
-prove it for every episode.
+A recipe contains only keyframes. The motion between them is simulated again: the same
+sub-tasks from the same initial state give the same motion, bit for bit. The hashes of
+the keyframes are compared for every episode.
 """
 
 from collections.abc import Iterator
@@ -22,21 +22,21 @@ from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 
 NO_SUBTASK = -1
-"""Index of the sub-task where none is executed: at the end."""
+"""Index of the sub-task at the end, where none is executed."""
 
 _TICKS_PER_S = round(1.0 / TICK_S)
 
 
 @dataclass(frozen=True, slots=True)
 class DenseStep:
-    """One moment of an episode, and the command that follows."""
+    """The state at one step of an episode, and the next command."""
 
     index: int
     """Number of the step, from 0."""
     time_s: float
     """Simulated time: ``index / hz`` [s]."""
     scene: Scene
-    """The world as it is at this step, ready to render; until the next step."""
+    """The scene at this step, ready to render; valid until the next step."""
     joints: FloatArray
     """Measured joint angles [rad], shape (robots, 6)."""
     joint_velocities: FloatArray
@@ -44,28 +44,29 @@ class DenseStep:
     opening_m: FloatArray
     """Measured openings of the grippers [m], shape (robots,)."""
     objects: dict[str, FloatArray]
-    """Position [m] and quaternion wxyz of every object by name, shape (7,)."""
+    """Position [m] and quaternion wxyz in the world's frame of every object by name,
+    shape (7,)."""
     tcp_poses: FloatArray
-    """World from gripper at each tool centre point, shape (robots, 4, 4) [m]."""
+    """Tool centre points in the world's frame, shape (robots, 4, 4) [m]."""
     action: FloatArray
     """Command that leads to the next step, shape (robots, 7): targets of the joints
-    [rad] and opening of the gripper [m]. At the last step, the command in force."""
+    [rad] and opening of the gripper [m]. At the last step, the present command."""
     waypoints: FloatArray
-    """Targets of the tool centre points at the next step, shape (robots, 4, 4): the end
-    of a motion, or a point on a straight line [m]."""
+    """Targets of the tool centre points at the next step in the world's frame, shape
+    (robots, 4, 4): the end of a motion, or a point on a straight line [m]."""
     subtask: int
-    """Which of the record's sub-tasks is executed next; -1 at the end."""
+    """Index of the record's sub-task that is executed next; -1 at the end."""
     progress: float
     """Fraction of the goal that holds."""
     reward: float
-    """1 at the end of an episode that succeeded, else 0."""
+    """1 at the end of a successful episode, otherwise 0."""
     is_done: bool
     """Whether this is the last step."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sample:
-    """The simulation at a step."""
+    """The state of the simulation at a step."""
 
     state: FloatArray
     command: FloatArray
@@ -73,19 +74,19 @@ class _Sample:
 
 
 def ticks_per_step(hz: int) -> int:
-    """Return how many servo ticks lie between two steps.
+    """Return the number of servo ticks per step.
 
     Args:
         hz: Steps per simulated second.
 
     Raises:
-        InvalidConfigError: Servo ticks cannot be divided evenly.
+        InvalidConfigError: The number is not an integer.
     """
     if hz < 1 or _TICKS_PER_S % hz:
         valid = [n for n in range(1, _TICKS_PER_S + 1) if _TICKS_PER_S % n == 0]
         raise InvalidConfigError(
-            f"Steps at {hz} Hz do not fall on the {_TICKS_PER_S} servo ticks of a "
-            f"second. Choose one of {', '.join(map(str, valid))}; 10 is common."
+            f"{hz} Hz does not divide the {_TICKS_PER_S} servo ticks of a second. "
+            f"Choose one of {', '.join(map(str, valid))}; 10 is common."
         )
     return _TICKS_PER_S // hz
 
@@ -93,18 +94,18 @@ def ticks_per_step(hz: int) -> int:
 def iterate_steps(record: EpisodeRecord, hz: int = 10) -> Iterator[DenseStep]:
     """Yield an episode step by step, from its first state to its end.
 
-    The whole episode is executed first. Then the scene is set to one step after the
-    other, so that changing it does not disturb the motion. Steps are evenly spaced. The
-    last one is the first at which the episode is over, up to one step later than the
-    last keyframe, with the robots at rest.
+    The whole episode is executed first. Then the scene is set to each step, so changes
+    of the scene do not affect the motion. Steps are evenly spaced. The last step is the
+    first one at which the episode is over, at most one step later than the last
+    keyframe, with the robots at rest.
 
     Args:
         record: The episode.
         hz: Steps per simulated second: a divisor of 100.
 
     Raises:
-        InvalidConfigError: Servo ticks cannot be divided evenly.
-        DatasetError: The motion is not the recorded one.
+        InvalidConfigError: ``hz`` does not divide 100.
+        DatasetError: The replayed motion differs from the recorded one.
     """
     stride = ticks_per_step(hz)
     episode = Episode(Instance.from_dict(record.instance_data()))
@@ -181,6 +182,6 @@ def _check(scene: Scene, record: EpisodeRecord, keyframe: int) -> None:
     if scene.state_hash() != record.keyframe_sha256[keyframe]:
         raise DatasetError(
             f"{record.key} drifts at keyframe {keyframe}: here the recorded sub-tasks "
-            "lead to another state. See 'lemma replay --validate'; the recipe must be "
-            "read with the versions that it was written with."
+            "lead to another state. See 'lemma replay --validate'; read the recipe "
+            "with the versions that wrote it."
         )

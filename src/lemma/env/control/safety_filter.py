@@ -83,6 +83,12 @@ def keep_clear(
     Returns:
         Whether any speed changed.
     """
+    moves = False
+    for i in range(6):
+        moves = moves or rates[i] != 0.0
+    # An arm that stands approaches nothing.
+    if not moves:
+        return False
     frames(arm.dh, arm.world_from_base, q, arm.placed)
     beside, inside = objects[0, : arm.beside], objects[1, : arm.inside]
     return restrain(arm, obstacles, beside, inside, rates)

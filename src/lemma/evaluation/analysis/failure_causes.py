@@ -144,7 +144,12 @@ _MISSED = (
     (
         "pick",
         Cause.MISSED_PICK,
-        (Outcome.INVALID, Outcome.NOTHING_TO_PICK, Outcome.MISSED_GRASP),
+        (
+            Outcome.INVALID,
+            Outcome.NOTHING_TO_PICK,
+            Outcome.OVERLOAD,
+            Outcome.MISSED_GRASP,
+        ),
     ),
     ("place", Cause.MISSED_PLACE, (Outcome.SUCCESS, Outcome.UNREACHABLE)),
 )

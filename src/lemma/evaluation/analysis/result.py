@@ -20,6 +20,8 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_text
 from lemma.evaluation.analysis.coordination import Coordination, coordination_of
 from lemma.evaluation.analysis.failure_causes import cause_of
+from lemma.evaluation.analysis.pair_scores import PairScores, pair_scores
+from lemma.evaluation.analysis.planning_effort import Planning, effort_of
 from lemma.evaluation.analysis.rates import Cell, rates_in_words
 from lemma.evaluation.analysis.reached import Reached, reached_by
 from lemma.evaluation.analysis.team_scores import TeamScores, team_scores
@@ -74,29 +76,6 @@ class Asked:
     """Number of episodes in which that goal held at the end."""
 
 
-@dataclass(frozen=True, slots=True)
-class Planning:
-    """Sums over the strict episodes of one kind of instructions and one task.
-
-    For the choice of robots see
-    :class:`~lemma.evaluation.analysis.coordination.Coordination`.
-    """
-
-    kind: str
-    task: str
-    episodes: int
-    decisions: int
-    """Number of sub-tasks, ``stop`` decisions, and decisions without an answer."""
-    calls: int
-    """Requests to the model."""
-    prompt_tokens: int
-    completion_tokens: int
-    invalid: dict[str, int]
-    """Invalid answers, by kind."""
-    replans: int
-    """Number of decisions after a sub-task that was not carried out."""
-
-
 @dataclass(frozen=True)
 class Result:
     """Counts of the episodes of a split, played by one policy of one training seed."""
@@ -117,6 +96,8 @@ class Result:
     """Effort of planning; only for policies that count it."""
     teams: tuple[TeamScores, ...] = ()
     """Use of time by task; only for robots that act together and tasks for teams."""
+    pairs: tuple[PairScores, ...] = ()
+    """Refusals by kind of instructions; only in the split of pairs."""
     experiment: str = ""
     """Name of its experiment, if any."""
     version: str = field(default=RESULT_VERSION)
@@ -146,7 +127,7 @@ class Result:
 
 _TABLES = (
     *("cells", "losses", "precisions", "coordination", "asked", "reached"),
-    *("planning", "teams"),
+    *("planning", "teams", "pairs"),
 )
 """Fields that are tables; left out if empty."""
 
@@ -299,8 +280,13 @@ def summarise(
         reached=tuple(
             reached_by(listed, *name) for name, listed in _questions(ordered)
         ),
-        planning=tuple(_planning(ordered)),
+        planning=tuple(
+            effort_of(listed, *name)
+            for name, listed in _questions(ordered)
+            if any(row.get("planning") for row in listed)
+        ),
         teams=team_scores(ordered),
+        pairs=pair_scores(ordered),
         experiment=experiment,
     )
 
@@ -337,22 +323,6 @@ def _question(row: Row) -> tuple[str, str]:
 def _questions(rows: Iterable[Row]) -> Iterable[tuple[tuple[str, str], list[Row]]]:
     """Yield groups of rows by kind and task; rows are already in that order."""
     return [(name, list(listed)) for name, listed in groupby(rows, key=_question)]
-
-
-def _planning(rows: Iterable[Row]) -> Iterable[Planning]:
-    """Yield the planning effort, where the policy counted it."""
-    for name, listed in _questions(rows):
-        efforts = [row["planning"] for row in listed if row.get("planning")]
-        if efforts:
-            invalid: Counter[str] = Counter()
-            for each in efforts:
-                invalid.update(each["invalid"])
-            sums = {name: sum(each[name] for each in efforts) for name in _EFFORT}
-            ordered = dict(sorted(invalid.items()))
-            yield Planning(*name, len(listed), invalid=ordered, **sums)
-
-
-_EFFORT = ("decisions", "calls", "prompt_tokens", "completion_tokens", "replans")
 
 
 def _asked(rows: Iterable[Row]) -> Iterable[Asked]:

@@ -1,1 +1,1 @@
-"""The rows of the tables, the figures of the paper, and how both are reproduced."""
+"""The experiments of the tables, the paper's figures, and their reproduction."""

@@ -1,6 +1,6 @@
-"""Every row of every table, and every training that they need.
+"""The experiments of all tables, and their trainings.
 
-They are data, in ``experiments.toml``, with all tables of the paper (arXiv 2308.00937).
+They are data in ``experiments.toml``, with all tables of the paper (arXiv 2308.00937).
 """
 
 import tomllib
@@ -23,14 +23,13 @@ CONTROL_LEVEL = "control-level"
 SUITES = ("paper", "ours", "controls", CONTROL_LEVEL, "ablations")
 ALL = "all"
 SEEDS = (0, 1, 2)
-"""Seeds of training; the weights of the first ship."""
+"""Training seeds; the published weights have the first one."""
 ABLATIONS = "ablations"
 ABLATION_EPISODES = 100
-"""Demonstrations of each task that ablations are trained on: with all 700 of them, what
-is left out is hardly missed."""
+"""Demonstrations of each task for ablations; with all 700 the differences are small."""
 _ABLATED = "reachnet"
 _ABLATION_SAMPLES = 100_000
-"""Samples of each ablation; fewer than the model's own, because there are many."""
+"""Training samples of each ablation; fewer than the model's default, to save time."""
 _RECIPE = f"data/lemma-{BENCHMARK_VERSION}"
 DATA = f"{_RECIPE}-keyframes"
 RECOVERY = f"{_RECIPE}-recovery-keyframes"
@@ -40,9 +39,9 @@ DATA_COMMANDS = (
     f"lemma generate --perturb 0.3 --episodes 150 --out {_RECIPE}-recovery",
     f"lemma render {_RECIPE}-recovery --form keyframes --out {RECOVERY}",
 )
-"""Make what all trainings need."""
+"""Commands that make the data of all trainings."""
 TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
-"""In the order of the paper's tables."""
+"""Teams in the order of the paper's tables."""
 _NONE: Mapping[str, str] = {}
 
 
@@ -54,7 +53,7 @@ class Measured:
     std: float
 
     def __str__(self) -> str:
-        """Return it as it is printed there."""
+        """Return the figure as in the paper."""
         return f"{self.mean:.2f} ± {self.std:.2f}"
 
 
@@ -65,17 +64,17 @@ class Figures:
     mean: Measured
     """Mean over the eight tasks."""
     tasks: Mapping[str, Measured]
-    """By task."""
+    """Figures by task."""
     teams: Mapping[str, Measured]
-    """By types of the robots, if there are some."""
+    """Figures by team, if the paper has them."""
     distractors: Mapping[str, Mapping[int, Measured]]
-    """By task and number of distractors."""
+    """Figures by task and number of distractors."""
 
     @classmethod
     def read(
         cls, tasks: str, teams: str = "", distractors: Mapping[str, str] = _NONE
     ) -> "Figures":
-        """Return a row as it is printed there: ``"34.33±2.19 0.00±0.00"``."""
+        """Parse rows of the paper's tables: ``"34.33±2.19 0.00±0.00"``."""
         *each, mean = _measured(tasks)
         return cls(
             mean,
@@ -90,7 +89,10 @@ class Figures:
     def of(
         self, task: str = "", team: str = "", distractors: int | None = None
     ) -> Measured | None:
-        """Return the figure of some episodes, if the paper has it; else of all."""
+        """Return the figure of a task, team or number of distractors; None if missing.
+
+        Without arguments it is the mean over all tasks.
+        """
         if distractors is not None:
             return self.distractors.get(task, {}).get(distractors)
         if team:
@@ -108,38 +110,38 @@ class Experiment:
     """One policy whose success is reported."""
 
     name: str
-    """Folder of its results."""
+    """Name of the experiment and of the folder of its results."""
     title: str
-    """In tables."""
+    """Title in tables."""
     suite: str
     """One of :data:`SUITES`."""
     policy: PolicySpec
-    """Its parts are names of trainings."""
+    """The policy; its parts are names of trainings."""
     kinds: tuple[str, ...] = EVALUATION_KINDS
     """Kinds of instructions."""
     language: str = "full"
-    """The sentence, one of
+    """The language control, one of
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
-    """Whether objects begin a little elsewhere."""
+    """Whether episodes begin at perturbed starts."""
     tasks: tuple[str, ...] = SUITE
-    """Which ones it is played on."""
+    """Names of its tasks."""
     training: str = ""
-    """The command that makes its weights, where ``lemma train`` does not."""
+    """The command that makes its weights, if it is not ``lemma train``."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
-    """By kind; what the paper reports for this row."""
+    """The paper's figures for this row, by kind of instructions."""
 
     @property
     def decides(self) -> tuple[dict[str, Any], str, bool]:
-        """Policy, language and start, as settings of its results say them."""
+        """Policy, language and start, as in the settings of its results."""
         return self.policy.about(), self.language, self.perturb_start
 
     def runs(self, seed: int) -> str:
-        """Return the folder that :meth:`Training.command` puts its weights into."""
+        """Return the folder of the runs of its trainings."""
         return f"runs/{ABLATIONS}" if self.suite == ABLATIONS else f"runs/seed-{seed}"
 
     def summary_path(self, out: Path, seed: int) -> Path:
-        """Return the file of its result with one training seed."""
+        """Return the file of its result for one training seed."""
         if self.suite == ABLATIONS:
             return out / ABLATIONS / f"{self.name}.json"
         return out / self.name / f"seed-{seed}.json"
@@ -147,21 +149,21 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Training:
-    """How the weights of one name are made."""
+    """The training of the weights of one name."""
 
     name: str
     """Name of the weights."""
     model: str
-    """As ``lemma train`` knows it."""
+    """Name of the model, as in ``lemma train``."""
     arguments: str = ""
-    """Besides data, folder, seed and number of samples."""
+    """Further arguments besides data, folder, seed and number of samples."""
     recovery: bool = True
     """Whether recovery states are mixed in."""
     samples: int | None = None
-    """If others than the model's own."""
+    """Number of samples; the model's default if None."""
 
     def command(self, runs: str, seed: int) -> str:
-        """Return the command line; what it trains is counted in samples alone.
+        """Return the command line, with the length of training as samples.
 
         Args:
             runs: Folder of the runs; each has the name of its weights.
@@ -171,7 +173,7 @@ class Training:
         if self.recovery:
             words.append(f"--recovery {RECOVERY}")
         words.append(f"--out {runs}/{self.name} --seed {seed}")
-        # Spelled out, so that a line stays true where the model's own number changes.
+        # Explicit, so that a change of the model's default does not affect the command.
         words.append(f"--samples {self.samples or DEFAULTS[self.model].samples}")
         if self.arguments:
             words.append(self.arguments)
@@ -179,7 +181,7 @@ class Training:
 
 
 def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
-    """Return what the file holds: experiments and trainings by name, in its order."""
+    """Return the file's experiments and trainings by name, in its order."""
     path = files("lemma.evaluation.experiments") / "experiments.toml"
     data = tomllib.loads(path.read_text("utf-8"))
     experiments = []
@@ -203,15 +205,15 @@ def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
 
 
 EXPERIMENTS, TRAININGS = _read()
-"""By name, in the order of the tables; and by name of the weights."""
+"""Experiments by name, in the order of the tables; trainings by name of the weights."""
 CONTROL_TASKS = EXPERIMENTS["act"].tasks
-"""Tasks of the policies at control level; one policy for all of them."""
+"""Tasks of the policies at control level, with one policy for all of them."""
 
 
 def selected(name: str) -> list[Experiment]:
     """Return the experiments of a suite, all of them, or the one of that name.
 
-    ``"all"`` means those whose weights ship, and that need no other environment:
+    ``"all"`` means those with published weights that need no other environment, so
     neither the ablations nor those at control level.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Experiments carried out: from weights to the files that tables are made from.
+"""Reproduction of experiments, from weights to the files of the tables.
 
-Policies are compared with published lines as well: sub-tasks, outcomes and poses.
+A check compares policies with published lines: sub-tasks, outcomes and poses.
 """
 
 import math
@@ -31,37 +31,37 @@ from lemma.policies.weights import published_weights
 
 _FILE = "weights.safetensors"
 _CHECKPOINT = "checkpoints/last/pretrained_model/model.safetensors"
-"""File of the policy to play, in a training run of LeRobot."""
+"""File of the policy's weights in a training run of LeRobot."""
 SHIPPED = SEEDS[0]
-"""Training seed of the weights that ship."""
+"""Training seed of the published weights."""
 TOLERANCE_M = 0.001
 TOLERANCE_RAD = 0.01
-"""By how much poses may differ, since pictures of another renderer move the poses of a
-network; all else must be equal."""
+"""Tolerances of poses, because images of another renderer change a network's poses; all
+else must be equal."""
 
 
 class MissingWeightsError(DatasetError):
-    """An experiment whose weights are not there."""
+    """The weights of an experiment are missing."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduction:
-    """How experiments are carried out."""
+    """Options of a reproduction."""
 
     out: Path
     """Folder of all results."""
     weights: Path | None = None
-    """Folder with the run of each training, by name; weights that ship if None."""
+    """Folder with the run of each training, by name; published weights if None."""
     split: str = "test"
     episodes: int | None = None
-    """Only the first so many of every task; all if None."""
+    """Number of episodes of every task, the first ones; all if None."""
 
     def config(self, experiment: Experiment) -> tuple[EvaluationConfig, int]:
-        """Return what to evaluate, and with which seed its weights were trained.
+        """Return the evaluation's options, and the training seed of the weights.
 
         Raises:
-            MissingWeightsError: They are not there.
-            DatasetError: They were trained with different seeds.
+            MissingWeightsError: Weights are missing.
+            DatasetError: Weights were trained with different seeds.
         """
         policy = self._found(experiment)
         seed = training_seed(weights_of(policy))
@@ -83,22 +83,22 @@ class Reproduction:
         engine: Engine,
         advance: Callable[[int], None] = lambda count: None,
     ) -> Path:
-        """Play what is missing, and write the result with its lines packed beside it.
+        """Play missing episodes, and write the result with packed lines beside it.
 
         Args:
             experiment: Experiment to play.
             engine: Workers that run the jobs.
-            advance: Called with the number of episodes that are finished.
+            advance: Called with the number of newly finished episodes.
 
         Returns:
             The file of the result.
 
         Raises:
-            DatasetError: Something is missing, or cannot be written.
+            DatasetError: Weights are missing, or a file cannot be written.
         """
         config, seed = self.config(experiment)
         rows = evaluate(config, engine, advance)
-        # Names of weights, not where they lay on this machine.
+        # Names of weights instead of their paths on this machine.
         about = read_json(config.out / ABOUT) | {"policy": experiment.policy.about()}
         command = self._command(experiment, seed)
         path = experiment.summary_path(self.out, seed)
@@ -107,7 +107,7 @@ class Reproduction:
         return path
 
     def _found(self, experiment: Experiment) -> PolicySpec:
-        """Return the policy with parts that can be loaded."""
+        """Return the policy with the paths or names of its weights."""
         policy, runs = experiment.policy, experiment.runs(SEEDS[0])
         checkpoint = checkpoint_of(policy.name)
         if checkpoint is not None:
@@ -121,23 +121,23 @@ class Reproduction:
         return replace(policy, name="+".join(names))
 
     def _weights(self, name: str, file: str, how: str) -> str:
-        """Return the name of weights that ship, or the folder that holds them.
+        """Return the name of published weights, or the folder of their run.
 
         Args:
-            name: As they ship, or as their run is named.
-            file: Their file in the folder of the run.
+            name: Name of the published weights, and of their run.
+            file: File of the weights in the folder of the run.
             how: The command that makes them.
         """
         if self.weights is None and name in published_weights():
             return name
-        where = "do not ship yet"
+        where = "are not published yet"
         if self.weights is not None:
             path = self.weights / name / file
             if path.is_file():
                 return str(path.parent)
             where = f"are not in {self.weights}"
         raise MissingWeightsError(
-            f"The weights of {name} {where}. They are made by: {how}"
+            f"The weights of {name} {where}. Make them with: {how}"
         )
 
     def _command(self, experiment: Experiment, seed: int) -> str:
@@ -152,7 +152,7 @@ class Reproduction:
 
 
 def commands(experiments: list[Experiment]) -> list[str]:
-    """Return the command lines that make data, train and evaluate, with every seed."""
+    """Return the command lines for data, training and evaluation, with every seed."""
     elsewhere = [one for one in experiments if one.training]
     here = [one for one in experiments if not one.training]
     lines = list(DATA_COMMANDS) if _needed(here) else []
@@ -166,7 +166,7 @@ def commands(experiments: list[Experiment]) -> list[str]:
             f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
         ]
     for one in elsewhere:
-        # One command may make the weights of several.
+        # One command may make the weights of several experiments.
         if one.training not in lines:
             lines.append(one.training)
         lines.append(f"lemma reproduce {one.name} --weights {one.runs(SEEDS[0])}")
@@ -174,7 +174,7 @@ def commands(experiments: list[Experiment]) -> list[str]:
 
 
 def _as_it_was(name: str) -> list[str]:
-    """Return a comment with the command that made published weights, if others did."""
+    """Return a comment with the command of published weights, if it differs."""
     entry = published_weights().get(name)
     if entry is None or entry["ended"] == "steps":
         return []
@@ -192,13 +192,13 @@ def _needed(experiments: list[Experiment]) -> list[Training]:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How episodes that were played anew agree with their lines."""
+    """Agreement of repeated episodes with published lines."""
 
     episodes: int
     differing: tuple[str, ...]
-    """Differences of each episode that differs, in words."""
+    """Text of the differences of each episode that differs."""
     farthest_m: float
-    """By how far a pose moved at most [m]."""
+    """Largest distance between poses [m]."""
 
     @property
     def ok(self) -> bool:
@@ -209,16 +209,16 @@ class Agreement:
 def check_experiment(
     experiment: Experiment, results: Path, episodes: int, engine: Engine
 ) -> Agreement:
-    """Play some episodes with the weights that ship, and compare with published lines.
+    """Play some episodes with published weights, and compare with published lines.
 
     Args:
-        experiment: Which row.
+        experiment: The experiment.
         results: Folder of published results.
-        episodes: How many of each task and kind of instruction.
+        episodes: Number of episodes of each task and kind of instruction.
         engine: Workers that run the jobs.
 
     Raises:
-        DatasetError: There are no lines of it, or its weights are missing.
+        DatasetError: There are no lines of the experiment, or its weights are missing.
     """
     path = lines_at(experiment.summary_path(results, SHIPPED))
     lines = {key_of(row): row for row in read_lines(path)}
@@ -234,10 +234,13 @@ def check_experiment(
 
 
 def compared(pairs: Sequence[tuple[Row, Row]]) -> Agreement:
-    """Compare lines with what was played anew.
+    """Compare published lines with those of repeated episodes.
+
+    Args:
+        pairs: Published line and new line of each episode.
 
     Raises:
-        InvalidConfigError: There is nothing to compare.
+        InvalidConfigError: There are no pairs.
     """
     if not pairs:
         raise InvalidConfigError("No episode that was played has a published line.")
@@ -250,7 +253,7 @@ def compared(pairs: Sequence[tuple[Row, Row]]) -> Agreement:
 
 
 def _differences(line: Row, now: Row) -> Iterator[str]:
-    """Yield in what an episode differs from its line, in words."""
+    """Yield texts of the differences of an episode from its line."""
     judged = ("success", "failure", "progress")
     yield from _unequal(line, now, "", ("instruction", "team", *judged))
     yield from _unequal(line["lenient"], now["lenient"], "leniently, ", judged)
@@ -279,7 +282,7 @@ def _unequal(old: Row, new: Row, where: str, names: Iterable[str]) -> Iterator[s
 
 
 def _shifts(old: Row, new: Row) -> Iterator[tuple[str, tuple[float, float]]]:
-    """Yield by how far the poses (x, y, yaw) of a sub-task moved [m], and turned."""
+    """Yield the changes of a sub-task's poses: end, position [m] and yaw [rad]."""
     if old["grounded"] and new["grounded"]:
         for end in ("pick", "place"):
             one, other = old["grounded"][end], new["grounded"][end]

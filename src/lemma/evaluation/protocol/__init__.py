@@ -1,1 +1,1 @@
-"""The protocol, which fixes a number: rules, controls and the expert's times."""
+"""The evaluation protocol: rules, controls and the expert's times."""

@@ -1,9 +1,9 @@
-"""Disturbed robots: a policy meets partners that are not as quick as it expects.
+"""Timing disturbances: robots that are slower than usual.
 
-Only time is disturbed: an arm that is slow goes the same way, and one at rest
-stands still wherever it is, with what it holds. No arm is quicker than undisturbed, so
-all durations can only grow. A disturbance is a function of the instance, the robot and
-the time at which its sub-task began: it is the same in every run.
+Only the timing is disturbed: a slow arm follows the same path, and a stopped arm stands
+still and keeps its grasp. No arm is faster than without disturbance. A disturbance is a
+function of the instance, the robot and the time at which its sub-task began, so it is
+the same in every run.
 """
 
 from collections.abc import Callable
@@ -16,20 +16,20 @@ from lemma.env.simulation import Pace
 from lemma.tasks.instance import Instance
 
 SPREAD = 0.3
-"""Durations are 1 +- this, over 1 - this."""
+"""Factors of durations are uniform in 1 +- this, divided by 1 - this."""
 SLOW = 0.5
-"""How fast the slow robot is."""
+"""Speed factor of the slow robot."""
 REST_S = 20.0
-"""How long the robot that stops stands still [s]."""
+"""Duration of the stop [s]."""
 REST_FROM_S = (2.0, 8.0)
-"""It does so from some time between these on [s]."""
+"""Range of the time at which the stop begins [s]."""
 
 
 def disturb(episode: Episode, kind: str) -> None:
-    """Disturb the robots of an episode that begins.
+    """Disturb the robots of a new episode.
 
     Args:
-        episode: Any.
+        episode: Episode at its start.
         kind: One of :data:`DISTURBANCES`.
 
     Raises:
@@ -40,7 +40,7 @@ def disturb(episode: Episode, kind: str) -> None:
 
 
 def _durations(instance: Instance) -> Pace:
-    """Return the pace of robots whose sub-tasks take 1 to 1.86 times as long."""
+    """Return speed factors for sub-tasks that take 1 to 1.86 times as long."""
 
     def pace(robot: str, start_s: float, now_s: float) -> float:
         rng = stream(instance.key, "durations", robot, round(1000.0 * start_s))
@@ -50,14 +50,14 @@ def _durations(instance: Instance) -> Pace:
 
 
 def _slow(instance: Instance) -> Pace:
-    """Return the pace of a team in which one robot is half as fast."""
+    """Return speed factors of a team with one robot at half speed."""
     names = instance.scene.robot_names
     slow = names[int(stream(instance.key, "slow").integers(len(names)))]
     return lambda robot, start_s, now_s: SLOW if robot == slow else 1.0
 
 
 def _stops(instance: Instance) -> Pace:
-    """Return the pace of a team in which one robot stands still for a while."""
+    """Return speed factors of a team with one robot that stops for a while."""
     names, rng = instance.scene.robot_names, stream(instance.key, "stops")
     still = names[int(rng.integers(len(names)))]
     from_s = float(rng.uniform(*REST_FROM_S))
@@ -74,4 +74,4 @@ DISTURBANCES: Final[dict[str, Callable[[Instance], Pace]]] = {
     "slow": _slow,
     "stops": _stops,
 }
-"""By name: every sub-task takes a time of its own; one robot is slow; one stops."""
+"""Disturbances by name: random durations of sub-tasks; a slow robot; a stop."""

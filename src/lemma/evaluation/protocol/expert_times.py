@@ -1,8 +1,8 @@
-"""How long the expert takes for every frozen instance of the val and test splits.
+"""The expert's time for every frozen instance of the val and test splits.
 
-A small table in the package, made by ``python scripts/expert_times.py``, through the
-same path as ``lemma evaluate --policy oracle``. A policy's time is compared with it,
-and a change of skills or physics changes it.
+The times are in a table in the package. ``python scripts/expert_times.py`` makes it, by
+the code of ``lemma evaluate --policy oracle``. Reports compare a policy's times with
+it. A change of skills or physics changes the table.
 """
 
 import hashlib
@@ -16,24 +16,23 @@ from lemma.evaluation.protocol.perturbed_starts import perturbed
 from lemma.tasks.instance import Instance
 
 TIMES = "expert_times.json"
-"""File in the package."""
+"""Name of the table's file in the package."""
 TIMED_SPLITS = ("val", "test")
 
 
 def expert_s(
     task: str, split: str, index: int, *, perturbed_start: bool = False
 ) -> float | None:
-    """Return the simulated time that the expert takes for an instance [s].
+    """Return the expert's simulated time for an instance [s].
 
     Args:
         task: Name of the task.
         split: Name of the list.
-        index: Number in the list.
-        perturbed_start: With its objects elsewhere.
+        index: Index in the list.
+        perturbed_start: Whether to return the time from the perturbed start.
 
     Returns:
-        The time until it says ``stop``; None for splits and tasks that are not in the
-        table.
+        The time until ``stop``; None for splits and tasks that are not in the table.
     """
     if split not in TIMED_SPLITS or task not in _table()[split]:
         return None
@@ -43,7 +42,7 @@ def expert_s(
 
 
 def perturbed_start(instance: Instance) -> Instance:
-    """Return a frozen instance with its objects a little elsewhere.
+    """Return the perturbed start of a frozen instance.
 
     Raises:
         InvalidConfigError: Its split or task has no perturbed starts.

@@ -1,4 +1,4 @@
-"""Sentences given to a policy, and their goals: its own sentence, or a control."""
+"""Instructions of a policy and their goals: the instance's own, or a control."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,32 +24,32 @@ LANGUAGES = {
     "shuffled": "the sentence of the next instance of the list",
     "swapped": "the sentence with other colors: another goal on the same table",
 }
-"""Kinds of sentence given to a policy; all but the first are controls."""
+"""Instructions of a policy; all except the first are controls."""
 FULL = "full"
-"""The whole sentence."""
+"""The instruction of the instance."""
 _CANDIDATES = 8
 
 
 @dataclass(frozen=True, slots=True)
 class LanguageControl:
-    """A sentence given to a policy instead of that of its instance."""
+    """An instruction that replaces that of the instance."""
 
     sentence: str | None = None
-    """None for that sentence itself."""
+    """The instruction; None for that of the instance."""
     asks: GoalPairs | None = None
-    """Another goal that it asks for; None where there is none on this table."""
+    """Its goal, if it is another one; None if that is impossible in the scene."""
 
 
 OWN_SENTENCE = LanguageControl()
-"""The policy is given the sentence of the instance."""
+"""The instruction of the instance."""
 
 
 def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
-    """Return what is said in an episode.
+    """Return the instruction of an episode.
 
     Args:
         language: One of :data:`LANGUAGES`.
-        instance: The problem.
+        instance: The instance.
         kind: Kind of the instruction.
     """
     if language == "none":
@@ -72,12 +72,12 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
 
 
 def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
-    """Return the sentence of an instance in the same words, for another goal."""
+    """Return an instance's instruction for another goal, from the same template."""
     said = instruction(instance, kind)
     if instance.goal.rule is not None:
         raise InvalidConfigError(
-            f"Sentences of {instance.task!r} say a rule as well, and there are no "
-            "others for them. Choose another language, or another task."
+            f"Instructions of {instance.task!r} contain a rule, and cannot be changed "
+            "to another goal. Choose another language, or another task."
         )
     bank = TASKS[instance.task].language
     blind = kind == BLIND
@@ -91,10 +91,11 @@ def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
 
 
 def _swapped(instance: Instance) -> tuple[GoalPairs, bool]:
-    """Return another goal of the same form, and whether its objects are there.
+    """Return another goal of the same form, and whether its objects are in the scene.
 
-    Of the goals that exchange most entities, one for which the expert has a plan, if
-    there is one among the first; in an order that depends on the instance alone.
+    Candidates are sorted by the number of exchanged entities, largest first, in an
+    order that depends on the instance alone. The result is the first candidate with a
+    plan of the expert; without one, the first candidate.
     """
     names = instance.scene.object_names
     rng = stream(instance.key, "swapped colours")
@@ -121,7 +122,7 @@ def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[Goa
     entities = Goal.from_pairs(pairs).entities
     ways = []
     kinds = {name: kind_of(name) for name in (*entities, *names)}
-    # The benchmark's order, not that of the goal.
+    # In the benchmark's order of kinds, not that of the goal.
     for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS):
         needed = [name for name in entities if kinds[name] is kind]
         there = [name for name in names if kinds[name] is kind]
@@ -136,14 +137,14 @@ def _goals(pairs: GoalPairs, names: tuple[str, ...] | list[str]) -> Iterator[Goa
 
 
 def _changes(goal: GoalPairs, pairs: GoalPairs) -> int:
-    """Return by how many conjuncts, and then by how many objects, they differ."""
+    """Return the number of different conjuncts, and then of different objects."""
     ours, theirs = (Goal.from_pairs(each).entities for each in (goal, pairs))
     places = sum(a != b for a, b in zip(ours, theirs, strict=True))
     return 100 * len(set(goal) - set(pairs)) + places
 
 
 def _situation(instance: Instance) -> SymbolicState:
-    """Return the first state as its numbers say, without physics."""
+    """Return the initial symbolic state from the instance's poses, without physics."""
     poses = {placed.name: placed.pose for placed in instance.scene.objects}
     movable = [name for name in poses if not kind_of(name).fixed]
     return SymbolicState(

@@ -1,11 +1,10 @@
-"""Perturbed starts: the same problem, with everything a little elsewhere.
+"""Perturbed starts: the same instances with slightly different poses of objects.
 
-Each object is moved by up to 3 cm and turned by up to 15 degrees. A draw counts only if
-every robot reaches what it reached before and nothing else, objects keep apart and in
-sight, and the expert solves it with as many sub-tasks as the task promises. Which draw
-counts is frozen with the expert's times
-(:mod:`lemma.evaluation.protocol.expert_times`);
-``scripts/expert_times.py`` chooses it.
+Each object is moved by up to 3 cm and turned by up to 15 degrees. A draw is valid only
+if every robot reaches the same objects as before, objects keep their distance and are
+visible, and the expert solves it with the task's number of sub-tasks. The number of the
+chosen draw is frozen with the expert's times
+(:mod:`lemma.evaluation.protocol.expert_times`); ``scripts/expert_times.py`` chooses it.
 """
 
 import math
@@ -16,21 +15,21 @@ from lemma.core.seeding import stream
 from lemma.tasks.instance import Instance
 
 SHIFT_M = 0.03
-"""Largest distance that an object is moved by [m]."""
+"""Largest shift of an object [m]."""
 TURN_RAD = math.radians(15.0)
-"""Largest angle that it is turned by [rad]."""
+"""Largest rotation of an object [rad]."""
 APART_M = 0.12
-"""Least distance between the middles of cubes and pads [m]."""
+"""Smallest distance between the centers of cubes and pads [m]."""
 FROM_STICK_M = 0.09
-"""Least distance of their middles from the stick [m]."""
+"""Smallest distance of their centers from the stick [m]."""
 
 
 def perturbed(instance: Instance, draw: int) -> Instance:
-    """Return an instance with its objects elsewhere; all else is the same.
+    """Return an instance with perturbed poses of its objects.
 
     Args:
-        instance: Any.
-        draw: Number of the draw; the same gives the same.
+        instance: The instance.
+        draw: Number of the draw, which determines the perturbation.
     """
     rng = stream(instance.key, "perturbed start", draw)
     moved = []

@@ -1,9 +1,9 @@
-"""The protocol: everything that fixes a number, in one frozen file with a hash.
+"""The protocol: everything that affects a result, in one frozen file with a hash.
 
-The paper's suite is in it. Of the others, see :mod:`lemma.evaluation.protocol.suites`.
-``protocol.json`` ships with the package. The protocol in force is computed from the
-code, the data and the versions. Results quote its hash, which is that of the file
-unless something differs. Results of different protocols are never mixed.
+It includes the paper's suite; :mod:`lemma.evaluation.protocol.suites` has the others.
+The package has the file ``protocol.json``. The protocol in force is computed from the
+code, the data and the versions. Results quote its hash, which equals that of the file
+unless something differs. Results of different protocols are never combined.
 """
 
 import json
@@ -32,7 +32,7 @@ from lemma.evaluation.records import (
     PROTOCOL_VERSION,
     RESULT_VERSION,
 )
-from lemma.motion.outcome import REFUSED
+from lemma.motion.outcome import REFUSED, Outcome
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
 from lemma.scene.objects.cube import CUBE
@@ -48,11 +48,11 @@ PROTOCOL = "protocol.json"
 """File in the package."""
 NAME = "lemma-v3"
 REFUSAL_S = 5.0
-"""Simulated time that a sub-task takes at least which its robot cannot do [s]: as long
-as an arm needs to where its fingers would close, and back. The expert's arms close
-their fingers 2.2 s after a sub-task began (30 of them, 1.7 to 2.9 s)."""
+"""Smallest simulated duration of a sub-task that its robot cannot do [s]: the time of
+the motion to the grasp and back. The expert's fingers close 2.2 s after the start of a
+sub-task (1.7 to 2.9 s in 30 sub-tasks)."""
 GROUP = 10
-"""Episodes that are played together."""
+"""Number of episodes that are played together."""
 
 
 @cache
@@ -79,7 +79,8 @@ def in_force() -> dict[str, Any]:
             "horizon is reached",
             "thrown": {"coast_m": COAST_M, "flight_s": FLIGHT_S},
             "look_ticks": LOOK_TICKS,
-            "refused": sorted(REFUSED),
+            # On tables of the paper's suite nothing is too heavy for a robot.
+            "refused": sorted(REFUSED - {Outcome.OVERLOAD}),
             "strict": "also the first refused sub-task ends it: protective_stop",
             "lenient": "the policy is told what was refused, and goes on",
             "refusal_s": REFUSAL_S,
@@ -109,7 +110,7 @@ def in_force() -> dict[str, Any]:
 
 
 def _success() -> dict[str, Any]:
-    """Return by what an episode is judged."""
+    """Return the criteria of success."""
     return {
         "judged": "when the robots have stood still after the end of the episode",
         "still_s": STILL_S,
@@ -125,21 +126,21 @@ def _success() -> dict[str, Any]:
 
 @cache
 def frozen() -> dict[str, Any]:
-    """Return the protocol that ships."""
+    """Return the protocol in the package."""
     text = (files("lemma.evaluation.protocol") / PROTOCOL).read_text("utf-8")
     protocol: dict[str, Any] = json.loads(text)
     return protocol
 
 
 def quote() -> str:
-    """Return what a result quotes: the hash of the protocol that is in force."""
+    """Return the hash of the protocol in force, which results quote."""
     return sha256_of(in_force())
 
 
 def deviations() -> list[str]:
-    """Return in what the protocol in force is not the one that ships; mostly nothing.
+    """Return the differences of the protocol in force from the one in the package.
 
-    Another release of MuJoCo is what makes the difference.
+    Usually there are none; a common cause is another release of MuJoCo.
     """
     ours, theirs = dict(flat(in_force())), dict(flat(frozen()))
     return [
@@ -155,20 +156,20 @@ def check_protocol(
     """Check that two results follow one protocol.
 
     Args:
-        about: Settings of the one, as in ``about.json``.
-        other: Settings of the other.
-        where: Where the one is.
-        there: Where the other is.
+        about: Settings of one result, as in ``about.json``.
+        other: Settings of the other result.
+        where: Path or description of the first result.
+        there: Path or description of the other result.
 
     Raises:
-        DatasetError: They do not.
+        DatasetError: Their protocols or lists differ.
     """
     mine, others = about.get("protocol"), other.get("protocol")
     if mine != others:
         raise DatasetError(
             f"{where} follows protocol {_short(mine)}, and {there} follows "
-            f"{_short(others)}: what differs may not be the policy. Evaluate one of "
-            "them again with the version of the other; this one follows "
+            f"{_short(others)}, so they cannot be compared. Evaluate one of them again "
+            "with the version of the other; this installation follows "
             f"{_short(quote())} ({NAME})."
         )
     for suite in other_suites(about, other.get("suites", {})):

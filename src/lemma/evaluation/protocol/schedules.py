@@ -1,9 +1,9 @@
-"""Schedules of the frozen test lists, and scores of teams at work at the same time.
+"""Schedules of the frozen test lists, and scores of robots that act together.
 
-A small table in the package, made by ``python scripts/schedules.py``: for each test
-instance of the suite ``teams``, of pass2 and of stack2 the order of the sub-tasks in
-the schedule of least makespan, and how long the executed oracle takes. The sub-tasks
-are those of the planner, and the times of the schedule follow from the order.
+``python scripts/schedules.py`` makes a table in the package. For each test instance of
+the suite ``teams``, of pass2 and of stack2, it has the order of the sub-tasks in the
+schedule of least makespan, and the time of the executed oracle. The sub-tasks are those
+of the planner, and the times of the schedule follow from the order.
 """
 
 import gzip
@@ -33,7 +33,7 @@ from lemma.tasks.subtask import SubTask
 from lemma.tasks.suite import load_instance
 
 SCHEDULES = "schedules.json.gz"
-"""File in the package."""
+"""Name of the table's file in the package."""
 SCHEDULED_SPLIT = "test"
 
 
@@ -61,9 +61,9 @@ def schedule_of(instance: Instance) -> Schedule:
     """
     jobs, frozen = jobs_of(instance), _entry(instance, "order")
     if frozen is not None:
-        # Every schedule of the table is optimal, or it would not have been written.
+        # The table has only optimal schedules.
         return in_order(jobs, tuple(map(int, frozen)), is_optimal=True)
-    # OR-Tools is an extra.
+    # OR-Tools is an optional dependency.
     from lemma.planning.least_makespan import least_makespan  # noqa: PLC0415
 
     found = least_makespan(jobs)
@@ -73,12 +73,12 @@ def schedule_of(instance: Instance) -> Schedule:
 
 
 def executed_s(instance: Instance) -> float | None:
-    """Return how long the executed oracle takes for an instance [s].
+    """Return the time of the executed oracle for an instance [s].
 
     Returns:
         The shorter of two executions with all robots at once, of the planner's order
-        and of the schedule's; None for instances that are not in the table, also where
-        objects begin elsewhere.
+        and of the schedule's; None for instances that are not in the table, including
+        perturbed starts.
     """
     found: float | None = _entry(instance, "executed_s")
     if found is None:
@@ -106,7 +106,7 @@ def schedule_score(success: bool, makespan_s: float, oracle_s: float) -> float:
 
     Args:
         success: Whether the episode succeeded.
-        makespan_s: When its last sub-task ended [s].
+        makespan_s: Time at which its last sub-task ended [s].
         oracle_s: See :func:`executed_s` [s].
     """
     return min(1.0, oracle_s / makespan_s) if success else 0.0
@@ -114,47 +114,47 @@ def schedule_score(success: bool, makespan_s: float, oracle_s: float) -> float:
 
 @dataclass(frozen=True)
 class TeamTimes:
-    """How the robots of a team spent an episode, each from 0 to the makespan [s]."""
+    """Use of time by the robots of a team, each from 0 to the makespan [s]."""
 
     makespan_s: float
-    """When the last sub-task ended."""
+    """Time at which the last sub-task ended."""
     busy_s: dict[str, float]
-    """By robot: in sub-tasks, without waiting."""
+    """By robot: time in sub-tasks, without waiting."""
     waiting_s: dict[str, float]
-    """In sub-tasks, for a region that another robot held."""
+    """By robot: waiting in sub-tasks for a region that another robot holds."""
     thinking_s: dict[str, float]
-    """Free before a sub-task, although nothing that it depends on was missing."""
+    """By robot: free before a sub-task whose predecessors were done."""
     predecessor_s: dict[str, float]
-    """Free before a sub-task, until what it depends on was done."""
+    """By robot: free before a sub-task until its predecessors were done."""
     no_work_s: dict[str, float]
-    """Free after its last sub-task."""
+    """By robot: free after its last sub-task."""
     parallel_s: float
-    """While two robots or more were in sub-tasks."""
+    """Time with two or more robots in sub-tasks."""
 
     @property
     def concurrency(self) -> float:
-        """Robots that were busy, as a mean over the makespan."""
+        """Mean number of busy robots over the makespan."""
         return ordered_sum(self.busy_s.values()) / max(self.makespan_s, 1e-9)
 
 
 @dataclass(frozen=True)
 class Worked:
-    """One sub-task that was carried out."""
+    """One executed sub-task."""
 
     robot: str
     start_s: float
     end_s: float
     waited_s: float = 0.0
-    """Of that, waiting for a region [s]."""
+    """Time of waiting for a region within it [s]."""
     ready_s: float = 0.0
-    """When what it depends on was done [s]."""
+    """Time at which its predecessors were done [s]."""
 
 
 def team_times(robots: Sequence[str], worked: Sequence[Worked]) -> TeamTimes:
-    """Return how the robots of a team spent an episode.
+    """Return the use of time by the robots of a team.
 
     Args:
-        robots: The team.
+        robots: Names of the robots.
         worked: All sub-tasks; those of one robot do not overlap.
     """
     makespan_s = max((one.end_s for one in worked), default=0.0)
@@ -189,10 +189,10 @@ def team_times(robots: Sequence[str], worked: Sequence[Worked]) -> TeamTimes:
 
 
 def worked_in(subtasks: Sequence[Mapping[str, Any]], robots: int) -> list[Worked]:
-    """Return how the sub-tasks of an episode's line followed each other.
+    """Return the times of the sub-tasks of an episode's line.
 
     Args:
-        subtasks: Of the line, whether robots acted together or in turns.
+        subtasks: Sub-tasks of the line, of robots that act together or in turns.
         robots: Number of robots.
     """
     ordered = sorted(subtasks, key=lambda step: step["start_s"])

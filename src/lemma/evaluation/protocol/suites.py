@@ -1,9 +1,9 @@
-"""The definitions of the suites beside the paper's, each with a hash of its own.
+"""The definitions of the suites besides the paper's, each with its own hash.
 
-The protocol holds the rules of all episodes and the paper's suite. The other suites are
-played by the same rules. The definition of each is hashed apart, so that a suite may
-grow without a change of the protocol that all published results quote. The page
-``docs/protocol.md`` has these hashes, and a test compares.
+The protocol has the rules of all episodes and the paper's suite. The other suites
+follow the same rules. Each has its own hash, so that an addition to a suite does not
+change the protocol, which all published results quote. ``docs/protocol.md`` has these
+hashes, and a test compares them.
 """
 
 import hashlib
@@ -13,16 +13,21 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+from lemma.motion.outcome import Outcome
 from lemma.tasks.goal import HOVER_M, LIFTED_M, OVER_M
 from lemma.tasks.instance import BENCHMARK_VERSION, splits_of
 from lemma.tasks.names import SUITE, SUITES
 
 OTHERS = tuple(name for name, tasks in SUITES.items() if tasks != SUITE)
-"""Names of the suites beside the paper's."""
+"""Names of the suites besides the paper's."""
 _SUCCESS: dict[str, dict[str, float]] = {
     "ladder": {"over_m": OVER_M, "hover_m": HOVER_M, "lifted_m": LIFTED_M},
 }
-"""By what goals are judged that the protocol does not have."""
+"""Criteria of goals that are not in the protocol."""
+_REFUSED: dict[str, dict[str, list[str]]] = {
+    "teams": {"refused": [Outcome.OVERLOAD.value]},
+}
+"""Outcomes of infeasible sub-tasks that are not in the protocol."""
 
 
 def sha256_of(protocol: Mapping[str, Any]) -> str:
@@ -45,7 +50,7 @@ def lists_of(tasks: Iterable[str]) -> dict[str, str]:
 
 @cache
 def definition(suite: str) -> dict[str, Any]:
-    """Return what defines one of :data:`OTHERS`, ready for JSON."""
+    """Return the definition of one of :data:`OTHERS`, ready for JSON."""
     tasks = SUITES[suite]
     return {
         "suite": suite,
@@ -54,15 +59,16 @@ def definition(suite: str) -> dict[str, Any]:
         "episodes_per_task": {task: dict(splits_of(task)) for task in tasks},
         "lists_sha256": lists_of(tasks),
         "success": _SUCCESS.get(suite, {}),
+        **_REFUSED.get(suite, {}),
     }
 
 
 def quote_suites(tasks: Iterable[str]) -> dict[str, str]:
-    """Return what a result quotes beside the protocol: the hash of each other suite.
+    """Return the hash of each other suite of some tasks, which results quote.
 
     Args:
-        tasks: Those that are played. The paper's eight are in the protocol, also where
-            another suite has them.
+        tasks: Names of the tasks. The paper's eight tasks are in the protocol, even if
+            another suite has them, too.
     """
     played = {*tasks} - {*SUITE}
     return {
@@ -73,10 +79,11 @@ def quote_suites(tasks: Iterable[str]) -> dict[str, str]:
 
 
 def other_suites(about: Mapping[str, Any], than: Mapping[str, str]) -> list[str]:
-    """Return the suites that a result has, and that are defined otherwise here.
+    """Return the suites of a result whose hashes differ from given ones.
 
     Args:
-        about: Settings of the result, as in ``about.json``. Older ones quote no suites.
+        about: Settings of the result, as in ``about.json``. Older ones have no hashes
+            of suites.
         than: Hashes by name of the suite.
     """
     quoted = about.get("suites", {})

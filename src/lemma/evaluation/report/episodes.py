@@ -1,4 +1,4 @@
-"""Episodes behind a report: which there are, and why they failed, in words."""
+"""Episodes of a report, with explanations of their failures."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ class Case:
     """The policy's title in tables, and its training seed if there are several."""
     row: Row
     about: Mapping[str, Any]
-    """Settings of the result that counts it."""
+    """Settings of its result."""
     lines: Path
     """The file of its line."""
 
     @property
     def name(self) -> str:
-        """Which episode of the policy this is: ``"high_level/stack/12"``."""
+        """Kind, task and index of the episode: ``"high_level/stack/12"``."""
         row = self.row
         return f"{row['instruction_kind']}/{row['task']}/{row['index']}"
 
@@ -44,42 +44,42 @@ class Case:
 
     @cached_property
     def mistake(self) -> int | None:
-        """Which sub-task decided it, from 0; None if none did."""
+        """Index of the first mistake among the sub-tasks; None without one."""
         failed = self.cause not in (None, Cause.POLICY_ERROR)
         return mistake_of(self.row) if failed else None
 
     @cached_property
     def instance(self) -> Instance:
-        """The problem, as this installation has it."""
+        """The instance of this installation."""
         return start_of(self.row, self.about)
 
     @property
     def is_repeatable(self) -> bool:
-        """Whether its line says all that was done, for an instance that is known.
+        """Whether its line has all decisions, and its instance is known.
 
-        Motor commands are too many for a line.
+        Lines of episodes at control level lack the motor commands.
         """
         return self.is_known and "control" not in self.row
 
     @property
     def is_known(self) -> bool:
-        """Whether this installation has the instance that was played."""
+        """Whether this installation has the episode's instance."""
         return bool(self.about["benchmark"] == BENCHMARK_VERSION)
 
 
 def cases_of(
     entries: Iterable[PolicyResults], paths: Iterable[Path]
 ) -> tuple[list[Case], list[Path]]:
-    """Return the episodes that results count, where their lines are at hand.
+    """Return the episodes of results whose lines are available.
 
-    Lines belong to a result if they have the digest that it quotes, wherever they lie.
+    Lines belong to a result if they have its digest, in any folder.
 
     Args:
         entries: The results.
-        paths: Files and folders that were reported.
+        paths: Files and folders of the report.
 
     Returns:
-        The episodes, and the files whose lines no result counts.
+        The episodes, and the files of lines that belong to no result.
     """
     files = {file.resolve(): file for path in paths for file in lines_in(path)}
     found = {file: read_lines(file) for file in files.values()}
@@ -102,7 +102,7 @@ def spread(cases: Iterable[Case], most: int) -> list[Case]:
 
     Args:
         cases: Episodes of one policy.
-        most: How many at most.
+        most: Largest number of episodes.
     """
     groups: dict[tuple[Cause | None, str], list[Case]] = {}
     for case in cases:
@@ -113,7 +113,7 @@ def spread(cases: Iterable[Case], most: int) -> list[Case]:
 
 
 def subtask_words(case: Case, subtask: Mapping[str, str]) -> str:
-    """Return a sub-task in words: ``"red robot: move the blue cube ..."``."""
+    """Return a sub-task as text: ``"red robot: move the blue cube ..."``."""
     if subtask["primitive"] == Primitive.STOP:
         return "stop"
     robot = subtask["robot"]
@@ -123,13 +123,13 @@ def subtask_words(case: Case, subtask: Mapping[str, str]) -> str:
         robot = dict(zip(scene.robot_names, phrases, strict=True)).get(robot, robot)
     pick, place = subtask["pick"], subtask["place"]
     if not (pick and place):
-        # A model that acts from end to end names no objects.
+        # Decisions of end-to-end models name no objects.
         return f"{robot}: {subtask['primitive']}"
     return sub_instruction(robot, subtask["primitive"], pick, place)
 
 
 def explanation(case: Case) -> str:
-    """Return why an episode failed, in a sentence or two; ``""`` if it did not."""
+    """Return an explanation of a failure, one or two sentences; ``""`` for success."""
     cause, row = case.cause, case.row
     if cause is None:
         return ""
@@ -144,7 +144,7 @@ def explanation(case: Case) -> str:
 
 
 def _of_stop(row: Row) -> str:
-    """Return how a protective stop ended an episode, if one did, and what came then."""
+    """Return a sentence about the protective stop, if any, and the lenient success."""
     if row["failure"] != PROTECTIVE_STOP:
         return ""
     last, later = row["subtasks"][-1], row["lenient"]
@@ -184,7 +184,7 @@ def _without_mistake(cause: Cause, row: Row) -> str:
 
 
 def _of_poses(cause: Cause, step: Mapping[str, Any]) -> Iterator[str]:
-    """Yield how the poses and the motion of the right sub-task went wrong."""
+    """Yield sentences about the errors of poses and motion in the right sub-task."""
     for end, found in (("pick", Cause.MISSED_PICK), ("place", Cause.MISSED_PLACE)):
         if cause is found:
             error_mm = step["expert"][f"{end}_error_mm"]

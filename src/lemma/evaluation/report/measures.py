@@ -1,4 +1,4 @@
-"""Tables beside success: how robots work together, and how far episodes come."""
+"""Tables besides success: coordination of robots, and progress of episodes."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -16,18 +16,18 @@ OfSeed = Callable[[Sequence[Coordination]], float | None]
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of the table of how robots work together."""
+    """A column of the table of coordination."""
 
     name: str
     of_seed: OfSeed
-    """Its value with one training seed; None where it is not defined."""
+    """Computes the value for one training seed; None if it is not defined."""
     places: int = 1
-    """Digits behind the point."""
+    """Number of decimal places."""
     over_seeds: Callable[[Sequence[float]], float] | None = None
-    """How seeds are joined; mean and standard deviation if None."""
+    """Aggregates seeds; mean and standard deviation if None."""
 
     def shown(self, seeds: Sequence[Sequence[Coordination]]) -> str:
-        """Return the cell of a table."""
+        """Return the text of a cell."""
         each = map(self.of_seed, seeds)
         values = [value for value in each if value is not None]
         if not values:
@@ -39,7 +39,7 @@ class Metric:
 
 
 def _ratio(part: str, whole: str, scale: float = 100.0, robot: str = "") -> OfSeed:
-    """Return a ratio of two summed fields, which is not defined where one is 0."""
+    """Return a ratio of two summed fields; it is not defined if the whole is 0."""
 
     def of_seed(found: Sequence[Coordination]) -> float | None:
         below = math.fsum(getattr(one, whole) for one in found)
@@ -77,11 +77,11 @@ METRICS = (
         2,
     ),
 )
-"""Columns of the table of how robots work together."""
+"""Columns of the table of coordination."""
 
 
 def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
-    """Return how well robots work together, over all tasks.
+    """Return the table of coordination, over all tasks.
 
     The measures are defined in :mod:`lemma.evaluation.analysis.coordination`.
     """
@@ -98,9 +98,9 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
 
 
 def reached(entries: Iterable[PolicyResults]) -> Table:
-    """Return how far episodes came, and the verdicts on their first moves.
+    """Return the table of progress and of the verdicts on first moves.
 
-    Strict episodes of all tasks together; :mod:`lemma.env.stages` defines both.
+    It is over the strict episodes of all tasks; :mod:`lemma.env.stages` defines both.
     """
     rows = []
     for entry in entries:
@@ -127,4 +127,4 @@ _REACHED = {
     "allocated": "allocated",
     "executed": "executed",
 }
-"""Fields of a record, and how columns call them."""
+"""Fields of a record, with the titles of their columns."""

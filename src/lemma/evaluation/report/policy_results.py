@@ -1,4 +1,4 @@
-"""The results of one policy over its training seeds: what a row of a table is."""
+"""The results of one policy over its training seeds, a row of a table."""
 
 import json
 from collections import Counter
@@ -21,21 +21,21 @@ from lemma.tasks.names import SUITE, in_order
 NOTHING = "–"
 NOT_RUN = "not run"
 PARTIAL = "†"
-"""Marks a mean over other tasks than all of the suite."""
+"""Mark of a mean that is not over all tasks of the suite."""
 
 
 @dataclass(frozen=True)
 class PolicyResults:
-    """One policy, and what it made of the episodes with each training seed."""
+    """One policy with its result for each training seed."""
 
     title: str
     results: tuple[Result, ...] = ()
-    """By seed; none if it was not run."""
+    """Results by seed; empty if it was not evaluated."""
     experiment: Experiment | None = None
-    """None for anybody's own policy."""
+    """Its experiment; None for a policy that is not in the registry."""
 
     def select(self, kind: str, **where: object) -> list[list[Cell]]:
-        """Return the cells of each seed that are of a kind, and of some values.
+        """Return the cells of each seed with a kind and with values of fields.
 
         Args:
             kind: Kind of instructions.
@@ -52,21 +52,21 @@ class PolicyResults:
         ]
 
     def select_leniently(self, kind: str, **where: object) -> list[list[Cell]]:
-        """Return the same with lenient successes; without seeds that have none."""
+        """As :meth:`select`, with lenient successes, without seeds that have none."""
         seeds = (leniently(cells) for cells in self.select(kind, **where))
         return [cells for cells in seeds if cells]
 
     def has(self, kind: str) -> bool:
-        """Whether there are episodes of a kind of instructions."""
+        """Return whether there are episodes of a kind of instructions."""
         return any(self.select(kind))
 
     @property
     def suite(self) -> str:
-        """Suite of its experiment; empty for anybody's own policy."""
+        """Suite of its experiment; empty without an experiment."""
         return self.experiment.suite if self.experiment else ""
 
     def episodes(self, kind: str | None = None, task: str | None = None) -> int:
-        """Return how many were played, of all kinds and tasks by default."""
+        """Return the number of episodes, by default of all kinds and tasks."""
         return sum(
             cell.episodes
             for result in self.results
@@ -75,7 +75,7 @@ class PolicyResults:
         )
 
     def causes(self, kind: str | None = None, task: str | None = None) -> Counter[str]:
-        """Return how many failed by cause, of all kinds and tasks by default."""
+        """Return the number of failures by cause, by default of all kinds and tasks."""
         counted: Counter[str] = Counter()
         for result in self.results:
             for loss in result.losses:
@@ -85,20 +85,20 @@ class PolicyResults:
 
 
 def pooled(cells: list[Cell]) -> float:
-    """Return the success rate in all episodes."""
+    """Return the success rate over all episodes."""
     return rate_of(cells).success_rate
 
 
 def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float] = pooled) -> str:
-    """Return a success rate [%] as a table shows it.
+    """Return a success rate [%] as text for a table.
 
     Args:
         seeds: The cells of each seed.
-        rate: Makes a success rate of the cells of one.
+        rate: Computes a success rate from the cells of one seed.
 
     Returns:
-        With one seed the rate and its 95 % Wilson interval; with several their mean and
-        standard deviation.
+        For one seed the rate and its 95 % Wilson interval; for several seeds the mean
+        and the standard deviation.
     """
     rates = [100.0 * rate(cells) for cells in seeds if cells]
     if not rates:
@@ -111,9 +111,9 @@ def shown(seeds: list[list[Cell]], rate: Callable[[list[Cell]], float] = pooled)
 
 
 def shown_mean(seeds: list[list[Cell]]) -> str:
-    """Return the mean over the tasks [%] as a table shows it.
+    """Return the mean over the tasks [%] as text for a table.
 
-    A mean over other tasks than all of the suite is marked by :data:`PARTIAL`.
+    :data:`PARTIAL` marks a mean that is not over all tasks of the suite.
     """
     text = shown(seeds, mean_over_tasks)
     whole = all({cell.task for cell in cells} == set(SUITE) for cells in seeds if cells)
@@ -123,14 +123,14 @@ def shown_mean(seeds: list[list[Cell]]) -> str:
 def tasks_of(
     entries: Iterable[PolicyResults], kind: str | None = None
 ) -> tuple[str, ...]:
-    """Return the tasks that were played, in the order of tables.
+    """Return the names of evaluated tasks, in the order of tables.
 
     Args:
-        entries: By whom.
-        kind: Only with this kind of instructions.
+        entries: Results by policy.
+        kind: Only tasks with this kind of instructions; any if None.
 
     Returns:
-        Their names; those of the suite where nobody played.
+        The names; those of the suite if there are no episodes.
     """
     played = in_order(
         cell.task
@@ -146,12 +146,12 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
     """Read results.
 
     Args:
-        paths: Files or their lines, or folders that hold some, at any depth. Other
-            files are passed over.
+        paths: Files of results or of their lines, or folders with such files at any
+            depth. Other files in folders are ignored.
 
     Raises:
-        DatasetError: One is missing or damaged, does not fit the lines that lie beside
-            it, or they are of different protocols.
+        DatasetError: A file is missing or damaged or does not match the lines beside
+            it, or results are of different protocols or splits.
     """
     results: list[Result] = []
     for path in dict.fromkeys(file for each in paths for file in _files(each)):
@@ -161,7 +161,8 @@ def read_results(paths: Iterable[Path]) -> list[Result]:
         if result.about["split"] != first.about["split"]:
             raise DatasetError(
                 f"{path} is of split {result.about['split']}, and others are of "
-                f"{first.about['split']}: they cannot be compared. Report them apart."
+                f"{first.about['split']}, so they cannot be compared. Report them "
+                "separately."
             )
         for lines in lines_beside(path):
             check_lines(result, read_lines(lines), path, lines)
@@ -173,12 +174,12 @@ def _files(path: Path) -> list[Path]:
     if is_lines(path):
         path = result_beside(path)
     if path.is_file():
-        # A shell's results/* also names the tables that stand beside the results.
+        # A shell's results/* includes the tables beside the results.
         return [path] if path.suffix == ".json" else []
     if not path.is_dir():
         raise DatasetError(
-            f"There is no {path}. Name what 'lemma evaluate' or 'lemma reproduce' "
-            "wrote."
+            f"There is no {path}. Name a file or folder that 'lemma evaluate' or "
+            "'lemma reproduce' wrote."
         )
     return sorted(file for file in path.rglob("*.json") if _is_result(file))
 
@@ -191,13 +192,13 @@ def _is_result(file: Path) -> bool:
 def entries_of(
     results: Iterable[Result], *, complete: bool = False
 ) -> list[PolicyResults]:
-    """Return results by policy, those of the registry first and in its order.
+    """Return results by policy, first those of the registry, in its order.
 
-    Results of ``lemma evaluate`` for a policy of the registry belong there, too.
+    Results of ``lemma evaluate`` for a policy of the registry belong to its entry, too.
 
     Args:
         results: Results of any policies and seeds.
-        complete: Whether experiments without results have an entry too.
+        complete: Whether experiments without results have an entry, too.
 
     Raises:
         DatasetError: A policy has two results with the same seed, or its seeds were
@@ -217,7 +218,7 @@ def entries_of(
 
 
 def title_of(result: Result) -> str:
-    """Return what a policy is called that is no experiment."""
+    """Return the title of a policy that is not in the registry."""
     policy = result.about["policy"]
     parts = [policy["name"], policy["planning"] * (policy["planning"] != "single-step")]
     parts += ["GTA" * policy["gta"]]
@@ -235,23 +236,23 @@ def title_of(result: Result) -> str:
 
 
 def starts_perturbed(result: Result) -> bool:
-    """Whether objects began a little elsewhere than the instances say."""
+    """Return whether a result is of perturbed starts."""
     return bool(result.about.get("perturb_start", False))
 
 
 def policy_of(result: Result) -> str:
-    """Return the policy of a result, the same for every sentence and start."""
+    """Return the policy of a result, independent of language control and start."""
     return json.dumps(result.about["policy"], sort_keys=True)
 
 
 def is_plain(result: Result) -> bool:
-    """Whether everything was said and done as the instances have it."""
+    """Return whether a result has no language control, perturbation or disturbance."""
     moved = starts_perturbed(result) or bool(result.about.get("disturb"))
     return result.about["language"] == FULL and not moved
 
 
 def _row_of(result: Result) -> str:
-    """Return the experiment that a result is of; else what its policy is called."""
+    """Return the name of a result's experiment; otherwise the policy's title."""
     if result.experiment in EXPERIMENTS:
         return result.experiment
     about = result.about
@@ -275,8 +276,8 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
         if not _same_data(result, ordered[0]):
             raise DatasetError(
                 f"{title_of(result)} was trained on other data with seed {result.seed} "
-                f"than with seed {ordered[0].seed}: their spread would say nothing. "
-                "Report them apart."
+                f"than with seed {ordered[0].seed}, so the seeds cannot be averaged. "
+                "Report them separately."
             )
     return tuple(ordered)
 

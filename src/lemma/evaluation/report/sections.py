@@ -1,6 +1,6 @@
 """The report of results: its sections, and the page in Markdown.
 
-Made from results and from nothing else; its prose is in ``page.md``.
+The numbers come from results alone; the text is in ``page.md``.
 """
 
 from collections import Counter
@@ -18,7 +18,7 @@ from lemma.evaluation.experiments.catalog import (
     SUITES,
 )
 from lemma.evaluation.records import older_versions
-from lemma.evaluation.report import measures, tables, team_table
+from lemma.evaluation.report import measures, pair_table, tables, team_table
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -39,33 +39,35 @@ SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
 """Success as in the paper and with other sentences; controls, control level and
 ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
-"""Title of the table of policies that answer motor commands."""
+"""Title of the table of policies at control level."""
+PAIRS = "Pairs of which one cannot be done"
+"""Title of the table of refusals, which stands alone."""
 HOW = "How each row is made"
-"""Title of the table that says of how many episodes each result is."""
+"""Title of the table with command, weights and number of episodes of each result."""
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One table of the report, and what to say of it."""
+    """One table of the report with its caption."""
 
     title: str
     note: str
-    """In Markdown; may be empty."""
+    """Text of the caption in Markdown; may be empty."""
     table: Table
     topic: str
     """Topic of the section, one of :data:`TOPICS`."""
     sample: str = ""
-    """Number of episodes that it counts, if not all; in Markdown."""
+    """Number of episodes, if not all, in Markdown."""
 
     @property
     def caption(self) -> str:
-        """The note, and of how many episodes the table is."""
+        """The note and the number of episodes."""
         return f"{self.note} {self.sample}".strip()
 
     @property
     def name(self) -> str:
-        """A name for links and files: lower case, words joined by dashes."""
+        """Name for links and files: lower case, words joined by dashes."""
         kept = (c if c.isalnum() else " " for c in self.title.lower())
         return "-".join("".join(kept).split())
 
@@ -75,12 +77,12 @@ def page(
     source: str = "the files named below",
     guide: str = "docs/evaluation.md",
 ) -> str:
-    """Return the page.
+    """Return the page in Markdown.
 
     Args:
         entries: Results to report.
-        source: Where the results are from, as the page says it.
-        guide: The page about evaluation, as the page names it.
+        source: Description of the source of the results.
+        guide: Link to the page about evaluation.
     """
     introduction, _ = _prose(guide)
     text = introduction.format(source=source, protocol=protocol_words(entries))
@@ -90,7 +92,7 @@ def page(
 
 
 def _prose(guide: str) -> tuple[str, dict[str, str]]:
-    """Return the introduction of the page, and what is said of each table by title."""
+    """Return the introduction of the page, and the notes by title of the table."""
     text = (files("lemma.evaluation.report") / "page.md").read_text("utf-8")
     for name, value in (
         ("guide", guide),
@@ -111,9 +113,14 @@ def sections(
 
     Args:
         entries: Results to report.
-        guide: The page about evaluation, as notes name it.
+        guide: Link to the page about evaluation.
     """
     _, notes = _prose(guide)
+    if any(result.pairs for entry in entries for result in entry.results):
+        return [
+            Section(PAIRS, notes[PAIRS], _of_pairs(entries), SUCCESS),
+            Section(HOW, "", _provenance(entries), ROWS),
+        ]
     sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
     samples = {
         CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
@@ -132,7 +139,7 @@ def sections(
 
 
 def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
-    """Return success as in the paper, and with sentences that it does not have."""
+    """Return tables of success as in the paper, and with further instructions."""
     return {
         "High-level instructions": tables.by_task(entries, "high_level"),
         "Human instructions": tables.by_task(entries, "human"),
@@ -149,8 +156,18 @@ def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     }
 
 
+def _of_pairs(entries: Sequence[PolicyResults]) -> Table:
+    """Return how often policies act where a team can, and refuse where it cannot."""
+    return pair_table.pair_table(
+        (f"{entry.title}, {tables.words(one.kind, '-')}", one)
+        for entry in entries
+        for result in entry.results
+        for one in result.pairs
+    )
+
+
 def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
-    """Return controls, control level and ablations."""
+    """Return tables of controls, control level and ablations."""
     return {
         "Other sentences": tables.language(entries),
         CONTROL: tables.control_level(entries),
@@ -160,14 +177,14 @@ def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
 
 
 def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
-    """Return how policies fail, and how robots share work."""
+    """Return tables of causes of failure, coordination and use of time."""
     return {
         "Stages": measures.reached(entries),
         "Where the points are lost": tables.losses(entries),
         **{
             f"{entry.title}: losses by task": tables.losses_by_task(entry)
             for entry in entries
-            # A page has room for the rows of the paper, ours, and anybody's own.
+            # Only the paper's rows, ours, and policies that are not in the registry.
             if entry.suite in ("", *SUITES[:2]) and entry.causes()
         },
         "How exact the poses are": tables.precision(entries, "high_level"),
@@ -188,11 +205,11 @@ def _written(section: Section) -> str:
 
 
 def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") -> str:
-    """Return what was played, in a sentence or two; a part is called a part.
+    """Return one or two sentences about the evaluated episodes, or the part of them.
 
     Args:
-        entries: By whom.
-        where: How the table that says of how many episodes each result is, is named.
+        entries: Results by policy.
+        where: Name of the table with the number of episodes of each result.
     """
     results = [result for entry in entries for result in entry.results]
     about = results[0].about if results else {}
@@ -221,7 +238,7 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
 
 
 def _older_words(results: Iterable[Result], benchmark: str) -> str:
-    """Return a sentence where weights were trained on another version; mostly none."""
+    """Return a sentence about weights of another version; usually empty."""
     older = {
         version
         for result in results
@@ -234,7 +251,7 @@ def _older_words(results: Iterable[Result], benchmark: str) -> str:
 
 
 def sample_words(entries: Sequence[PolicyResults]) -> str:
-    """Return what captions say where not all episodes were played; mostly nothing."""
+    """Return a sentence for captions if episodes are missing; usually empty."""
     parts = [r for entry in entries for r in entry.results if not _is_whole(r)]
     if not parts:
         return ""
@@ -277,24 +294,24 @@ def _extents(result: Result) -> dict[tuple[str, str], int]:
 
 
 def _wanted(result: Result) -> tuple[str, ...]:
-    """Return the tasks that a result should be of."""
+    """Return the tasks of a complete result."""
     name = result.experiment
     return EXPERIMENTS[name].tasks if name in EXPERIMENTS else SUITE
 
 
 def _is_whole(result: Result) -> bool:
-    """Whether all episodes of all tasks that it should be of were played."""
+    """Return whether a result has all episodes of all its tasks."""
     found = _extents(result)
     every = SPLITS.get(result.about["split"])
     kinds = {kind for kind, _ in found}
-    # A split that is sampled has no end.
+    # A sampled split has no fixed number of episodes.
     return every is not None and all(
         found.get((kind, task)) == every for kind in kinds for task in _wanted(result)
     )
 
 
 def _extent(result: Result) -> str:
-    """Return of how many episodes a result is, and whether there should be more."""
+    """Return the number of episodes of a result, and the full number if it is less."""
     found = _extents(result)
     episodes = sum(found.values())
     split = result.about["split"]
@@ -305,7 +322,7 @@ def _extent(result: Result) -> str:
 
 
 def _provenance(entries: Iterable[PolicyResults]) -> Table:
-    """Return how each result is made, and of which weights."""
+    """Return the table of commands and weights of each result."""
     rows: list[tuple[str, ...]] = []
     for entry in entries:
         if not entry.results and entry.experiment is not None:

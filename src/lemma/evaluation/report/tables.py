@@ -1,6 +1,7 @@
-"""The tables: rows and columns made from results, and from nothing else.
+"""The tables of the report, made from results alone.
 
-Success is strict as the headline, with lenient success and the paper's below it.
+The first row of a policy is strict success; lenient success and the paper's figures are
+below it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -48,7 +49,7 @@ _ORDER: Mapping[str, Sequence[Any]] = {"team": TEAMS, "distractors": range(5)}
 
 
 def words(name: str, gap: str = " ") -> str:
-    """Return the name of a kind or cause as people write it."""
+    """Return the name of a kind or cause with another separator of words."""
     return name.replace("_", gap)
 
 
@@ -58,12 +59,12 @@ class Column:
 
     name: str
     where: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the cells that it counts, and their values."""
+    """Fields of the cells that it counts, with their values."""
     rate: Callable[[list[list[Cell]]], str] = shown
     sums_up: bool = False
-    """Whether it says of a policy without results that nobody played."""
+    """Whether it states that a policy without results was not evaluated."""
     has_paper: bool = True
-    """Whether a figure of the paper may stand below it."""
+    """Whether the paper's figure may be below it."""
 
     def paper(self, entry: PolicyResults, kind: str, **where: Any) -> Measured | None:
         """Return the paper's figure for a policy, if there is one."""
@@ -77,13 +78,13 @@ _MEAN = Column("mean", rate=shown_mean, sums_up=True)
 def _lines(
     entry: PolicyResults, columns: Sequence[Column], *label: str, **where: Any
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a policy: strict, and where there are some, lenient and paper.
+    """Yield the rows of a policy: strict, and if available lenient and the paper's.
 
     Args:
         entry: Results of the policy.
         columns: Columns of rates.
-        label: Further words at the left.
-        where: Fields of the cells that all columns count, and their values.
+        label: Further texts in the left columns.
+        where: Fields of the cells that all columns count, with their values.
     """
     pairs = [(column, {**where, **column.where}) for column in columns]
     cells = (
@@ -110,7 +111,7 @@ def _table(
 
 
 def _means(entries: Sequence[PolicyResults]) -> list[Column]:
-    """Return a column for every kind of instructions that was played."""
+    """Return a column for every evaluated kind of instructions."""
     kinds = [kind for kind in EVALUATION_KINDS if any(e.has(kind) for e in entries)]
     return [
         Column(words(kind, "-"), {"kind": kind}, shown_mean, sums_up=True)
@@ -126,7 +127,7 @@ def at_a_glance(entries: Sequence[PolicyResults]) -> Table:
 
 
 def ablations(entries: Sequence[PolicyResults]) -> Table:
-    """Return the success of ReachNet with one thing of its training changed each."""
+    """Return the success of ReachNet with one change of its training per row."""
     chosen = [entry for entry in entries if entry.suite == ABLATIONS]
     columns = _means(chosen)
     rows = [
@@ -137,9 +138,9 @@ def ablations(entries: Sequence[PolicyResults]) -> Table:
 
 
 def rates(cells: Sequence[Cell]) -> Table:
-    """Return the success of one policy [%]: tasks down, kinds of instructions across.
+    """Return the success of one policy [%], by task (rows) and kind (columns).
 
-    Strict, with Wilson intervals; the last row is the mean of the lenient verdict.
+    Success is strict, with Wilson intervals; the last row is the mean lenient success.
     """
     every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
     columns = {kind: listed for kind, listed in every.items() if listed}
@@ -169,7 +170,7 @@ def by_task(entries: Iterable[PolicyResults], kind: str) -> Table:
     """Return success by task with one kind of instructions."""
     reporting = _reporting(entries, kind)
     tasks = tasks_of(reporting, kind)
-    # The paper's mean is over all of them.
+    # The paper's mean is over all tasks of the suite.
     whole = set(tasks) == set(SUITE)
     mean = Column("mean", {}, shown_mean, sums_up=True, has_paper=whole)
     columns = [*(Column(task, {"task": task}) for task in tasks), mean]
@@ -178,7 +179,7 @@ def by_task(entries: Iterable[PolicyResults], kind: str) -> Table:
 
 
 def control_level(entries: Iterable[PolicyResults]) -> Table:
-    """Return success by task of policies that answer motor commands, strict."""
+    """Return strict success by task of policies at control level."""
     chosen = [
         (entry, entry.experiment)
         for entry in entries
@@ -213,10 +214,10 @@ def breakdown(entries: Iterable[PolicyResults], kind: str, by: str) -> Table:
 
 
 def values_of(entries: Iterable[PolicyResults], kind: str, by: str) -> tuple[Any, ...]:
-    """Return the values of a field of cells that occur, those of the suite first.
+    """Return the occurring values of a field of cells, first those of the suite.
 
     Args:
-        entries: Where.
+        entries: Results by policy.
         kind: Kind of instructions.
         by: ``"team"`` or ``"distractors"``.
     """
@@ -227,7 +228,7 @@ def values_of(entries: Iterable[PolicyResults], kind: str, by: str) -> tuple[Any
 
 
 def distractors_by_task(entries: Iterable[PolicyResults]) -> Table:
-    """Return success by task and distractors where the paper has it: its own table."""
+    """Return success by task and distractors, with the rows of the paper's table."""
     rows: list[tuple[str, ...]] = []
     columns: list[Column] = []
     for entry in entries:
@@ -248,11 +249,10 @@ def _paper(entry: PolicyResults, kind: str) -> Figures | None:
 
 
 def _reporting(entries: Iterable[PolicyResults], kind: str) -> list[PolicyResults]:
-    """Return those that are rows of a table of a kind.
+    """Return the policies with a row in the tables of a kind of instructions.
 
-    Not the ablations and policies at control level, nor a policy that was told other
-    sentences or began elsewhere, if it stands there without: tables of their own
-    compare the two.
+    Ablations and policies at control level have separate tables. So have results with
+    language controls or perturbed starts, if the policy has a result without them.
     """
     apart = (ABLATIONS, CONTROL_LEVEL)
     entries = [entry for entry in entries if entry.suite not in apart]
@@ -275,7 +275,7 @@ _CAUSES_HEADER = ("failed", "of", *(words(cause) for cause in Cause))
 
 
 def losses(entries: Iterable[PolicyResults]) -> Table:
-    """Return why episodes failed, by policy and kind of instructions."""
+    """Return the causes of failure, by policy and kind of instructions."""
     rows = (
         (entry.title, words(kind, "-"), *_lost(entry, kind))
         for entry in entries
@@ -286,7 +286,7 @@ def losses(entries: Iterable[PolicyResults]) -> Table:
 
 
 def losses_by_task(entry: PolicyResults) -> Table:
-    """Return why episodes of one policy failed, by kind and task; where any did."""
+    """Return the causes of failure of one policy, by kind and task with failures."""
     rows = (
         (words(kind, "-"), task, *_lost(entry, kind, task))
         for kind in EVALUATION_KINDS
@@ -303,7 +303,7 @@ def _lost(entry: PolicyResults, kind: str, task: str | None = None) -> tuple[str
 
 
 def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
-    """Return how far off poses are [mm], and how many are missed, by task."""
+    """Return the errors of poses [mm] and the share of misses, by task."""
     tasks = tasks_of(entries, kind)
     rows = []
     for entry in entries:
@@ -315,7 +315,7 @@ def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
 
 
 def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
-    """Return the median error [mm], mean over seeds, and the part that is missed."""
+    """Return the mean over seeds of the median error [mm], and the share of misses."""
     found = [
         one
         for result in entry.results
@@ -329,12 +329,12 @@ def _precision(entry: PolicyResults, kind: str, task: str, end: str) -> str:
 
 
 def language(entries: Iterable[PolicyResults]) -> Table:
-    """Return how much each policy needs the sentence, where a control was run.
+    """Return the success of each policy with language controls, if there are any.
 
-    Success is at the goal of the instance, for every sentence. Without a sentence,
-    tables without distractors have their own column: they leave little to guess. The
-    last column is how often the other goal of swapped colors holds, where the table
-    allows that goal.
+    Success is always for the goal of the instance. For the control without a sentence,
+    scenes without distractors have a separate column, because few goals are possible in
+    them. The last column is how often the other goal of swapped colors holds, among the
+    scenes in which it is possible.
     """
     rows = []
     for family in _families(entries, lambda result: not starts_perturbed(result)):
@@ -357,7 +357,7 @@ def language(entries: Iterable[PolicyResults]) -> Table:
 
 
 def starts(entries: Iterable[PolicyResults]) -> Table:
-    """Return success from perturbed starts beside that from the instances' own."""
+    """Return success from perturbed starts and from the instances' own starts."""
     rows = []
     for family in _families(entries, lambda result: result.about["language"] == FULL):
         own = _where(family, perturb_start=False)
@@ -373,7 +373,7 @@ def starts(entries: Iterable[PolicyResults]) -> Table:
 def _families(
     entries: Iterable[PolicyResults], wanted: Callable[[Result], bool]
 ) -> list[PolicyResults]:
-    """Return some results of each policy, across sentences and starts."""
+    """Return selected results of each policy, across language controls and starts."""
     titles: dict[str, str] = {}
     found: dict[str, list[Result]] = {}
     for entry in entries:
@@ -397,7 +397,7 @@ def _where(family: PolicyResults, **about: object) -> PolicyResults:
 
 
 def _asked(family: PolicyResults, kind: str) -> str:
-    """Return how often another goal holds that was asked for [%], of how many."""
+    """Return how often the control's other goal holds [%], and of how many episodes."""
     every = (one for result in family.results for one in result.asked)
     listed = [one for one in every if one.kind == kind]
     episodes = sum(one.episodes for one in listed)

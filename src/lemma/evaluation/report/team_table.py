@@ -1,4 +1,4 @@
-"""The table of robots that act together: success beside the use of time."""
+"""The table of robots that act together: success and use of time."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,10 @@ _NOTHING = "–"
 
 
 def team_table(scores: Sequence[TeamScores]) -> Table:
-    """Return success, makespan, idle time by cause and clearance, tasks across.
+    """Return success, makespan, idle time by cause and clearance, a column per task.
 
     Args:
-        scores: Of each task.
+        scores: Scores of each task.
     """
     rows = [
         ("success", *(f"{one.successes} of {one.episodes}" for one in scores)),

@@ -1,1 +1,1 @@
-"""Running policies: protocol, rollouts, lines of episodes."""
+"""Execution of evaluations: policies, rollouts, lines of episodes."""

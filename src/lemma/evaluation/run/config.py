@@ -1,4 +1,4 @@
-"""The configuration of an evaluation: policy, episodes and sentences."""
+"""The configuration of an evaluation: policy, episodes and instructions."""
 
 import shlex
 from collections.abc import Iterable, Iterator
@@ -31,24 +31,25 @@ from lemma.tasks.language.blind import check_blind
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
 from lemma.tasks.names import SUITES
 from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
+from lemma.tasks.teams.pairs import PAIRS, TEST_PAIRS
 
 
 def acting_by_default(tasks: Iterable[str], *, controls: bool = False) -> str:
-    """Return how robots act in some tasks unless a way is named.
+    """Return the default way of acting in some tasks, one of ``ACTINGS``.
 
-    Together in tasks of the suite ``teams``, and in turns in all others and by motor
-    commands, as published results have it.
+    It is together in tasks of the suite ``teams``, and in turns in all others and for
+    policies at control level, as in published results.
 
     Args:
         tasks: Names of the tasks.
-        controls: Whether the policy answers motor commands.
+        controls: Whether the policy is at control level.
     """
     together = set(tasks) <= set(SUITES["teams"]) and not controls
     return ACTINGS[together]
 
 
 VERDICTS = ("both", "strict")
-"""How far episodes are played: to both verdicts, or to the strict one alone."""
+"""Verdicts of an evaluation: both, or the strict one alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,27 +60,28 @@ class EvaluationConfig:
     """Folder of the result."""
     policy: PolicySpec
     tasks: tuple[str, ...] = SUITE
-    """Names of tasks, also of your own."""
+    """Names of tasks, including your own."""
     split: str = "test"
-    """Frozen list of instances; or ``"free"``, which samples them, seeds counting from
-    0."""
+    """Frozen list of instances; or ``"free"``, which samples them with seeds from 0."""
     kinds: tuple[str, ...] = ("high_level",)
     """Kinds of instructions."""
     episodes: int | None = None
-    """Only the first so many of every task; all if None. Split ``"free"`` needs it."""
+    """Number of episodes of every task, the first ones; all if None. Split ``"free"``
+    needs it."""
     language: str = FULL
-    """The sentence, one of
+    """The language control, one of
     :data:`lemma.evaluation.protocol.language_controls.LANGUAGES`."""
     perturb_start: bool = False
-    """Whether objects begin a little elsewhere, see
-    :mod:`lemma.evaluation.protocol.expert_times`."""
+    """Whether episodes begin at perturbed starts, see
+    :mod:`lemma.evaluation.protocol.perturbed_starts`."""
     disturb: str = ""
-    """How robots are disturbed, one of :data:`.DISTURBANCES`; not by default."""
+    """Disturbance of the robots, one of :data:`.DISTURBANCES`; empty for none."""
     verdicts: str = VERDICTS[0]
-    """One of :data:`VERDICTS`; strictly alone, an episode ends where the other would go
-    on after a protective stop."""
+    """One of :data:`VERDICTS`. With the strict verdict alone, an episode ends at a
+    protective stop."""
     instance: Instance | None = None
-    """The only one to play; its task and :data:`OWN_SPLIT` are then those above."""
+    """The only instance to play; then ``tasks`` and ``split`` are its task and
+    :data:`OWN_SPLIT`."""
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
@@ -89,10 +91,11 @@ class EvaluationConfig:
             return
         if not (self.tasks and self.kinds):
             raise InvalidConfigError(
-                "There is nothing to play. Name a task and a kind of instruction."
+                "There are no episodes. Name a task and a kind of instruction."
             )
         for task in self.tasks:
             check_split(task, self.split)
+            self._check_pairs()
             for kind in self.kinds:
                 if known("kind of instruction", kind, EVALUATION_KINDS) == BLIND:
                     check_blind(task, self.split)
@@ -108,8 +111,15 @@ class EvaluationConfig:
             whole("episodes", self.episodes, 1)
         elif self.split == FREE_SPLIT:
             raise InvalidConfigError(
-                f"Split {FREE_SPLIT!r} is sampled and has no end. Say how many "
-                "episodes of each task there shall be, with --episodes."
+                f"Split {FREE_SPLIT!r} is sampled without a limit. Set the number of "
+                "episodes of each task with --episodes."
+            )
+
+    def _check_pairs(self) -> None:
+        if self.split == PAIRS and self.language != FULL:
+            raise InvalidConfigError(
+                f"Split {PAIRS!r} asks whether a team can do what its sentence says. "
+                "Give it the full sentence."
             )
 
     def _check_disturbance(self) -> None:
@@ -118,8 +128,8 @@ class EvaluationConfig:
         known("disturbance", self.disturb, DISTURBANCES)
         if self.policy.controls:
             raise InvalidConfigError(
-                "A policy that answers motor commands is not disturbed: its arms are "
-                "as fast as it says. Leave out the disturbance."
+                "A policy with motor commands sets the speed of the arms itself, so it "
+                "has no disturbances. Leave out the disturbance."
             )
 
     def _check_own(self, instance: Instance) -> None:
@@ -127,26 +137,28 @@ class EvaluationConfig:
         of_lists = self.episodes or self.perturb_start or self.language == "shuffled"
         if of_lists or not alone:
             raise InvalidConfigError(
-                "An instance of your own is all that is played, and is on no list: "
-                "name no tasks, split, number of episodes, perturbation or shuffling."
+                "An instance of your own is the only episode. Leave out tasks, split, "
+                "number of episodes, perturbation and shuffling."
             )
         for kind in self.kinds:
             known("kind of instruction", kind, instance.instructions)
 
     def count(self, task: str) -> int:
-        """Return how many episodes of a task there are per kind of instruction."""
+        """Return the number of episodes of a task per kind of instruction."""
         if self.instance is not None:
             return 1
         every = splits_of(task).get(self.split, self.episodes or 0)
+        if self.split == PAIRS:
+            every = 2 * TEST_PAIRS
         return every if self.episodes is None else min(self.episodes, every)
 
     @property
     def total(self) -> int:
-        """Episodes in all."""
+        """Total number of episodes."""
         return len(self.kinds) * sum(map(self.count, self.tasks))
 
     def about(self) -> dict[str, Any]:
-        """Return what decides the result."""
+        """Return the settings that determine the result, as in ``about.json``."""
         planners = [
             getattr(planner, "about", None) for planner in self.policy.planners()
         ]
@@ -175,19 +187,24 @@ class EvaluationConfig:
         return acting_by_default(self.tasks, controls=self.policy.controls)
 
     def command(self) -> str:
-        """Return the command line that asks for the same, ready to be pasted.
+        """Return the equivalent command line.
 
-        Files have their names alone: the same result has the same command on every
-        machine.
+        Files have their names without folders, so that the same result has the same
+        command on every machine.
         """
         policy = self.policy
         kinds = ",".join(kind.replace("_", "-") for kind in self.kinds)
         arguments = [f"{name}={value}" for name, value in policy.arguments]
-        own = self.instance is not None
+        own, pairs = self.instance is not None, self.split == PAIRS
         wanted = (
-            ("--split", self.split, not own),
+            ("--pairs", "", pairs),
+            ("--split", self.split, not own and not pairs),
             ("--instance", "FILE.json", own),
-            ("--tasks", ",".join(self.tasks), not own and self.tasks != SUITE),
+            (
+                "--tasks",
+                ",".join(self.tasks),
+                not own and not pairs and self.tasks != SUITE,
+            ),
             ("--episodes", str(self.episodes), self.episodes is not None),
             ("--level", policy.level, bool(policy.level)),
             ("--policy-args", ",".join(arguments), bool(arguments)),
@@ -203,7 +220,7 @@ class EvaluationConfig:
         for name, value, is_wanted in wanted:
             if is_wanted:
                 words += [name, value] if value else [name]
-        # These are quoted already.
+        # These words are already quoted for the shell.
         asked = policy.chat.words() if policy.chat is not None else []
         asked += ["--perturb-start"] * self.perturb_start
         asked += ["--disturb", self.disturb] * bool(self.disturb)

@@ -1,7 +1,7 @@
 """Episodes at control level: a policy's motor commands, many episodes at once.
 
-They are played by the same loop as those at skill level, and yield the same verdicts.
-There is no protective stop: what an arm cannot do, its motors do not do.
+The loop and the verdicts are those of the skill level. There is no protective stop,
+because motors do not execute infeasible commands.
 """
 
 from collections.abc import Mapping
@@ -39,15 +39,15 @@ _DEFAULTS = {"control": "joint_position", "control_hz": 20.0, "observation": "rg
 
 
 def environment_of(policy: object, task: str) -> EnvConfig:
-    """Return the environment that a policy acts in.
+    """Return the options of a policy's environment.
 
     Args:
-        policy: Anything that acts at control level.
+        policy: A policy at control level.
         task: Name of the task.
 
     Raises:
-        LemmaError: It asks for what does not exist, or for what others decide; or it
-            would observe the truth and is no oracle.
+        LemmaError: An option of the policy is unknown or invalid, or it would observe
+            privileged state and is no oracle.
     """
     asked = getattr(policy, "control_options", {})
     if not isinstance(asked, Mapping):
@@ -66,25 +66,25 @@ def environment_of(policy: object, task: str) -> EnvConfig:
     if OBSERVATIONS[config.observation].truth and not is_oracle(policy):
         fair = (name for name in OBSERVATIONS if not OBSERVATIONS[name].truth)
         raise InvalidConfigError(
-            f"observation={config.observation!r} holds the truth. Valid: "
+            f"observation={config.observation!r} contains privileged state. Valid: "
             f"{', '.join(fair)}; or derive the policy from "
-            "lemma.policies.interfaces.Oracle, and its result says so."
+            "lemma.policies.interfaces.Oracle, which its result states."
         )
     return config
 
 
 @dataclass(kw_only=True)
 class ControlRollout(Rollout):
-    """One episode that is played by motor commands."""
+    """One episode at control level."""
 
     config: EnvConfig
-    """The environment that the policy asks for."""
+    """Options of the policy's environment."""
     actions: int = 0
-    """Control steps so far."""
+    """Number of control steps so far."""
     asked: int = 0
-    """How often the policy was asked."""
+    """Number of the policy's decisions so far."""
     memory: Any = None
-    """Memory of the policy in this episode."""
+    """The policy's memory of this episode."""
 
     def _begin(self) -> Episode:
         self.env = ControlEnv(self.config)
@@ -93,11 +93,11 @@ class ControlRollout(Rollout):
         return self.env.episode
 
     def look(self, observer: Observer, *, oracle: bool) -> ControlInput:
-        """Return what a policy is given now: copies, from which nothing leads back.
+        """Return the present input of a policy: copies, without references to the env.
 
         Args:
-            observer: Makes its observation.
-            oracle: Whether it is given the truth as well.
+            observer: Creates the observation.
+            oracle: Whether the input has privileged state, too.
 
         Raises:
             RenderingError: OpenGL does not work here.
@@ -126,7 +126,7 @@ class ControlRollout(Rollout):
         return ControlInput(**fields)
 
     def take(self, policy_input: object, decision: Any) -> None:
-        """Carry out an answer, to its end or to that of the episode."""
+        """Execute the actions of a policy, up to the end of the episode."""
         self.asked += 1
         self.memory = decision.memory
         layout = self.env.action_layout
@@ -147,7 +147,7 @@ class ControlRollout(Rollout):
             self.fail(Fault(FaultKind.MALFORMED, str(error)))
 
     def fields(self, strict: Verdict) -> dict[str, Any]:
-        """Return what its line says beside what every line does."""
+        """Return the fields of its line that only the control level has."""
         return {
             "control": {
                 "mode": self.config.control,
@@ -167,13 +167,13 @@ def _copied(observation: dict[str, Any]) -> dict[str, Any]:
 
 
 class ControlPlayer(Player):
-    """A policy at control level, and what it sees with."""
+    """A policy at control level with its observer."""
 
     def __init__(self, policy: ControlPolicy) -> None:
-        """Prepare; OpenGL is started by the first picture.
+        """Store the policy; the first image starts OpenGL.
 
         Args:
-            policy: Decides.
+            policy: The policy.
         """
         super().__init__(policy)
         self._observers: dict[tuple[int, tuple[str, ...]], Observer] = {}
@@ -181,16 +181,16 @@ class ControlPlayer(Player):
     def begin(
         self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
     ) -> Rollout:
-        """Set the table for an episode.
+        """Begin an episode.
 
         Raises:
-            LemmaError: The policy asks for an environment that does not exist.
+            LemmaError: The policy's options of the environment are invalid.
         """
         config = environment_of(self.policy, instance.task)
         return ControlRollout(instance, kind, control=control, config=config)
 
     def policy_input(self, rollout: Rollout) -> ControlInput:
-        """Return what the policy is given of an episode now."""
+        """Return the policy's present input in an episode."""
         assert isinstance(rollout, ControlRollout)
         robots, config = len(rollout.instance.scene.robots), rollout.config
         key = (robots, config.kinds)

@@ -1,9 +1,9 @@
-"""A policy on a frozen split: one JSON line per episode, resumable.
+"""Evaluation of a policy on a split: one JSON line per episode, resumable.
 
 Episodes are played in groups of fixed composition, because a network's last bits depend
-on what else is in its batch. A run that was killed has whole groups; after an
-interrupt, episodes of unfinished groups are kept as well. Unfinished groups are played
-again, so that a run that goes on gives what an undisturbed one gives.
+on the other samples of its batch. A killed run has written complete groups; an
+interrupted run also keeps finished episodes of incomplete groups. A resumed run plays
+incomplete groups again, so its result equals that of an uninterrupted run.
 """
 
 import sys
@@ -39,6 +39,7 @@ from lemma.evaluation.run.config import VERDICTS, EvaluationConfig
 from lemma.evaluation.run.control import load_player
 from lemma.evaluation.run.expert_feedback import count_steps
 from lemma.evaluation.run.loading import hang_up
+from lemma.evaluation.run.pairs import pair_fields
 from lemma.evaluation.run.rollout import Player, Rollout, Verdict, roll_out, subtasks_of
 from lemma.policies.interfaces import keeps_state
 from lemma.policies.policy_object import PolicyObjectSpec
@@ -52,19 +53,19 @@ def evaluate(
     engine: Engine,
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[Row]:
-    """Play what is missing, and write the result.
+    """Play missing episodes, and write the result.
 
     Args:
         config: Options of the evaluation.
         engine: Workers that run the jobs.
-        advance: Called with the number of episodes that were there at the beginning,
-            and then for every one that has ended.
+        advance: Called with the number of existing episodes at the beginning, and then
+            with 1 for each finished episode.
 
     Returns:
-        All episodes, in the order of kinds, tasks and numbers.
+        The lines of all episodes, in the order of kinds, tasks and indices.
 
     Raises:
-        DatasetError: Something cannot be written, or what is there is of another
+        DatasetError: A file cannot be written, or the folder has a result of another
             policy or version.
     """
     about = config.about()
@@ -88,7 +89,7 @@ def evaluate(
         ended: dict[EpisodeKey, Row] = {}
 
         def take(row: Row) -> None:
-            # Episodes of a worker that died end twice.
+            # After the death of a worker its episodes are reported twice.
             if key_of(row) not in ended:
                 advance(1)
             ended[key_of(row)] = row
@@ -107,11 +108,11 @@ def evaluate(
 
 
 def start_of(row: Row, about: Mapping[str, Any] | None = None) -> Instance:
-    """Return the instance that the episode of a line begins with.
+    """Return the instance of a line's episode, with its perturbed start if any.
 
     Args:
         row: A line of ``episodes.jsonl``.
-        about: Settings, as in ``about.json``, which hold an instance of one's own.
+        about: Settings, as in ``about.json``, which have a user's own instance.
     """
     own = (about or {}).get("instance")
     if own is not None:
@@ -123,7 +124,15 @@ def start_of(row: Row, about: Mapping[str, Any] | None = None) -> Instance:
 def play_group(
     config: EvaluationConfig, kind: str, task: str, indices: range, path: Path
 ) -> None:
-    """Play some episodes, report each as it ends, and write them all."""
+    """Play a group of episodes, report each at its end, and write all lines.
+
+    Args:
+        config: Options of the evaluation.
+        kind: Kind of instruction.
+        task: Name of the task.
+        indices: Indices of the episodes.
+        path: File of the lines.
+    """
     player = _player(config, kind)
     kept = {"keeps_state": True} if keeps_state(player.policy) else {}
     rollouts = []
@@ -143,30 +152,31 @@ def play_group(
         line = line_of(rollout, moved=config.perturb_start, lenient=lenient)
         rows.append({**line, **kept, "wall_s": round(wall_s, 3)})
         report(rows[-1])
-    # They were played together, so each took its part.
+    # The episodes share the wall time of the group.
     even = [{**row, "wall_s": rows[-1]["wall_s"]} for row in rows]
     write_rows(path, sorted(even, key=place_of))
 
 
 @cache
 def _playing() -> list[tuple[PolicySpec, str, Player]]:
-    """Return the policy of this process, if there is one yet, and its kind of sentence.
+    """Return the list with the policy of this process and its kind of instruction.
 
-    A function, because a variable of the module would lead a policy from its own
-    attributes to the cameras, and so to the true state.
+    It is a function, because a policy could reach a variable of the module, and from
+    there the cameras and the true state.
     """
     return []
 
 
 def _player(config: EvaluationConfig, kind: str) -> Player:
-    """Return the policy of this process: a new one for each kind of sentence.
+    """Return the policy of this process, a new one for each kind of instruction.
 
-    All kinds are played on the same tables, so what a policy remembers of one kind
-    would help it with the next. A policy that says that it keeps its state stays.
+    All kinds are played in the same scenes, so memory of one kind would help with the
+    next. A policy with ``keeps_state = True`` is kept.
 
     Args:
-        config: Names the policy. Loading it takes long, so it plays all of a kind.
-        kind: Which of an instance's sentences it is given.
+        config: Options of the evaluation. Loading takes long, so one policy plays all
+            episodes of a kind.
+        kind: Kind of instruction.
     """
     spec, playing = config.policy, _playing()
     if playing:
@@ -180,19 +190,19 @@ def _player(config: EvaluationConfig, kind: str) -> Player:
         spec.renew()
     player = load_player(spec)
     if parent_process() is not None and "torch" in sys.modules:
-        # There is a process per core; more threads would fight for them.
+        # One thread, because there is a process per core.
         sys.modules["torch"].set_num_threads(1)
     playing.append((spec, kind, player))
     return player
 
 
 def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
-    """Return the line of an episode that is over.
+    """Return the line of a finished episode.
 
     Args:
         rollout: The episode.
         moved: Whether it began at the perturbed start of its instance.
-        lenient: Whether it went on after a protective stop.
+        lenient: Whether the line has a lenient verdict.
     """
     instance = rollout.instance
     end = rollout.verdict()
@@ -226,19 +236,20 @@ def line_of(rollout: Rollout, *, moved: bool, lenient: bool) -> Row:
         "subtasks": strict_subtasks,
         "left": strict.left,
         **rollout.fields(strict),
+        **pair_fields(rollout),
         **planning,
         "lenient": {**_judged(end), "subtasks": further, **later} if lenient else None,
     }
 
 
 def planning_of(rollout: Rollout, decisions: range) -> dict[str, Any]:
-    """Return what some decisions took, where their policy counts that; else nothing.
+    """Return the effort of some decisions; empty if the policy does not count it.
 
     A decision after a sub-task that was not carried out is a replan.
 
     Args:
         rollout: The episode.
-        decisions: Their numbers, from 0.
+        decisions: Numbers of the decisions, from 0.
     """
     efforts = [rollout.efforts[number] for number in decisions]
     if not efforts:

@@ -1,8 +1,8 @@
-"""The expert's choice in the state that a policy is in, and how far off the policy is.
+"""The expert's judgement of a policy's decisions.
 
-The expert plans anew from the true state before every sub-task of a policy, which takes
-some milliseconds and changes nothing. The length of its plan measures whether a
-sub-task served the goal, whichever of several good ones it was.
+The expert plans from the true state before every sub-task of a policy, which takes some
+milliseconds and does not change the state. The length of its plan measures whether a
+sub-task served the goal, also if several sub-tasks are good.
 """
 
 import math
@@ -22,11 +22,11 @@ from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 
 def left_in(episode: Episode, now: SymbolicState | None = None) -> int | None:
-    """Return how many sub-tasks the expert needs from here; None if it has no plan.
+    """Return the length of the expert's plan; None without a plan.
 
     Args:
         episode: The episode.
-        now: The state that is meant; the present one if None.
+        now: State from which to plan; the present one if None.
     """
     now = now or SymbolicState.observe(episode.simulation.scene)
     plan = _plan(episode, now, GeometricGrounder(now.spec))
@@ -36,13 +36,13 @@ def left_in(episode: Episode, now: SymbolicState | None = None) -> int | None:
 def advise(
     episode: Episode, decision: Decision, now: SymbolicState | None = None
 ) -> Feedback:
-    """Return what the expert says of a decision in the state that an episode is in.
+    """Return the expert's judgement of a decision in an episode.
 
     Args:
         episode: The episode.
-        decision: Not to stop.
-        now: The state that is meant, such as what all that is under way will leave
-            behind; the present one if None.
+        decision: A decision other than ``stop``.
+        now: State of the decision, such as the expected one after all active orders;
+            the present one if None.
     """
     now = now or SymbolicState.observe(episode.simulation.scene)
     geometry = GeometricGrounder(now.spec)
@@ -66,7 +66,7 @@ def advise(
 
 
 def refuse(episode: Episode, decision: Decision) -> SkillResult:
-    """Return how a decision without poses ends: as at plan level, if it must fail."""
+    """Return the result of a decision without poses, as at plan level if infeasible."""
     scene = episode.simulation.scene
     found = ground_or_refuse(
         decision.subtask, SymbolicState.observe(scene), GeometricGrounder(scene.spec)
@@ -78,11 +78,11 @@ def refuse(episode: Episode, decision: Decision) -> SkillResult:
 
 
 def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
-    """Count what the expert said of the sub-tasks of an episode.
+    """Count the expert's judgements of the sub-tasks of an episode.
 
     Args:
         steps: Sub-tasks of its line.
-        left: How many the expert needs after the last; None where it has no plan.
+        left: Length of the expert's plan after the last one; None without a plan.
 
     Returns:
         ``doable``, ``able``, ``planned``, ``as_expert`` and ``order_violations``.
@@ -106,11 +106,11 @@ def count_steps(steps: Sequence[Row], left: int | None) -> dict[str, int]:
 
 
 def deviation(subtask: SubTask, plan: tuple[SubTask, ...]) -> Deviation:
-    """Return how a sub-task departs from a plan: the first kind that applies.
+    """Return the first kind of deviation of a sub-task from a plan that applies.
 
     Args:
         subtask: Decision of a policy, other than ``stop``.
-        plan: The expert's sub-tasks from now on; empty where all is done.
+        plan: The expert's remaining sub-tasks; empty if the goal holds.
     """
     expected = plan[0] if plan else STOP
     if subtask == expected:

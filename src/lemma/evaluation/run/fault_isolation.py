@@ -1,8 +1,8 @@
-"""Decisions are checked here, so that a faulty policy fails its own episodes alone.
+"""Checks of a policy's decisions, so that a fault ends only the affected episodes.
 
-An answer or an exception of a policy becomes either a decision that can be carried out
-or a :class:`Fault`, which ends its episode and no other. Policies that hang or crash do
-so in processes of their own; see :mod:`lemma.serve.isolation`.
+An output or an exception of a policy becomes either a valid decision or a
+:class:`Fault`, which ends its episode and no other. External policies that hang or
+crash are in separate processes; see :mod:`lemma.serve.isolation`.
 """
 
 import math
@@ -29,20 +29,21 @@ from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 FARTHEST_M = 100.0
-"""Poses farther from the middle of the table are not in metres [m]."""
+"""Largest distance of a pose from the center of the table [m]; a larger one is in other
+units."""
 
 _LONGEST = 300
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """The reason why a policy has no decision for an episode."""
+    """The reason why a policy has no valid decision for an episode."""
 
     kind: FaultKind
     explanation: str
     """One sentence."""
     effort: Effort | None = None
-    """The effort of the failed decision, where it is counted."""
+    """The effort of the failed decision, if it is counted."""
 
     def to_dict(self) -> dict[str, str]:
         """Return plain data, ready for JSON."""
@@ -50,30 +51,31 @@ class Fault:
 
 
 class IsolatedPolicy:
-    """Asks a policy about many episodes and checks its answers."""
+    """Calls a policy with many episodes, and checks its decisions."""
 
     def __init__(self, policy: Policy | ControlPolicy) -> None:
-        """Keep the policy."""
+        """Store the policy."""
         self._policy: Any = policy
         self._one_by_one = False
 
     def decide(self, inputs: Sequence[Any]) -> list[Any]:
-        """Return the next decision of each episode, or why there is none.
+        """Return the next decision of each episode, or a :class:`Fault`.
 
-        If the policy fails at a batch, it is asked about each episode alone, so that
-        only the episodes fail at which it does. After a timeout there are no batches.
+        If the policy fails for a batch, it is called for each episode alone, so that
+        only the affected episodes fail. After a timeout there are no batches any more.
 
         Args:
             inputs: One per episode; at least one.
 
         Raises:
-            PolicyUnreachableError: Nobody answers any more, or this machine has no
-                memory, disk space or files left: no fault of the policy.
-            PlannerUnavailableError: So it is with a language model, or a cassette does
-                not know an answer.
+            PolicyUnreachableError: The policy's server does not answer, or this machine
+                has no memory, disk space or file handles left. This is no fault of the
+                policy.
+            PlannerUnavailableError: The server of a language model does not answer, or
+                a cassette lacks a reply.
             DatasetError: A file, such as a cassette, cannot be read or written.
             WeightsError: Weights cannot be read.
-            RenderingError: Pictures cannot be drawn.
+            RenderingError: Images cannot be rendered.
         """
         if len(inputs) > 1 and not self._one_by_one:
             answers = self._ask(inputs)
@@ -97,7 +99,7 @@ class IsolatedPolicy:
             trouble = trouble_of(error)
             if trouble is not None:
                 raise trouble from error
-            # The policy is anybody's code: one episode may fail and others not.
+            # Any exception: the policy may be external code.
             text = f"{type(error).__name__}: {error}"
             return Fault(FaultKind.RAISED, _cut(text))
         if not isinstance(answers, list | tuple):
@@ -115,15 +117,14 @@ class IsolatedPolicy:
 def check(
     answer: Any, policy_input: PolicyInput | ControlInput
 ) -> Decision | Actions | Orders | Fault:
-    """Return a decision in plain Python types, or what is wrong with it.
+    """Return a decision in plain Python types, or a fault.
 
-    An entity that is not on this table and a pose that the robot cannot reach are
-    wrong decisions, not faults: they are carried out, and fail with an outcome that
-    the policy can see.
+    An absent entity and a pose out of reach are valid, but wrong decisions. They are
+    executed, and fail with an outcome in the policy's next input.
 
     Args:
-        answer: The answer of the policy.
-        policy_input: Its input.
+        answer: Output of the policy.
+        policy_input: Input of the policy.
     """
     try:
         if isinstance(policy_input, ControlInput):
@@ -142,7 +143,7 @@ def _effort(answer: Decision) -> Effort | None:
 
 
 def _checked_orders(answer: Any, team_input: TeamInput) -> Orders:
-    """Return orders for free robots, one for each at most."""
+    """Return orders for free robots, at most one for each."""
     try:
         found = orders_of(answer)
     except TypeError as error:

@@ -1,4 +1,4 @@
-"""Policies by name, with other people's kept at a distance."""
+"""Loading of policies by name, with external ones in separate processes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,24 +29,24 @@ from lemma.serve.websocket import connect, is_address
 
 
 def load_policy(spec: PolicySpec) -> Any:
-    """Return a policy that may be asked without fear.
+    """Return a policy, with external classes in separate processes.
 
-    Servers are asked over their sockets. Classes of other people live in processes of
-    their own, unless no timeout is wanted: then they live here, where a debugger finds
-    them, and may be oracles. Everything else is ours.
+    Clients of servers use sockets. With a time limit, external classes run in separate
+    processes. Without one they run in this process, so that a debugger can be used, and
+    they may be oracles. Policies of this package run in this process, too.
 
     Args:
-        spec: Which policy.
+        spec: The policy's name and options.
 
     Raises:
-        LemmaError: There is no such policy, nobody answers where it should be, or its
-            weights are damaged; or it is an oracle and its class does not say so.
+        LemmaError: There is no such policy, its server does not answer, or its weights
+            are damaged; or it needs privileged state, and its class is no oracle.
     """
 
     def load(name: str) -> Any:
         if is_address(name) or is_model_server(name):
             return connected(spec, name)
-        # The truth travels to no other process.
+        # Other processes get no privileged state.
         if ":" in name and spec.timeout_s > 0.0 and not privileged(name):
             return isolate(name, spec.timeout_s, dict(spec.arguments))
         return load_part(name, dict(spec.arguments))
@@ -54,14 +54,14 @@ def load_policy(spec: PolicySpec) -> Any:
     found = spec.load(load)
     if is_oracle(found) and not spec.oracle:
         raise InvalidConfigError(
-            f"{spec.name} needs the truth, but its result would not say so. Name a "
-            "class that is derived from lemma.policies.interfaces.Oracle."
+            f"{spec.name} needs privileged state, but is not marked as an oracle. Name "
+            "a class that is derived from lemma.policies.interfaces.Oracle."
         )
     return found
 
 
 def hang_up(policy: Any) -> None:
-    """End the processes and the connections of a policy that was loaded."""
+    """End the processes and the connections of a loaded policy."""
     if isinstance(policy, Composite):
         for part in policy.parts:
             hang_up(part)
@@ -70,10 +70,10 @@ def hang_up(policy: Any) -> None:
 
 
 def served_parts(spec: PolicySpec) -> dict[str, Any]:
-    """Return what the servers among a policy's parts say of themselves, by address.
+    """Return the self-descriptions of the servers among a policy's parts, by address.
 
     Raises:
-        LemmaError: Nobody answers there, or in another language.
+        LemmaError: A server does not answer, or has another protocol.
     """
     found = {}
     for name in spec.parts:
@@ -85,14 +85,14 @@ def served_parts(spec: PolicySpec) -> dict[str, Any]:
 
 
 def connected(spec: PolicySpec, address: str) -> Any:
-    """Return what is behind an address.
+    """Return a client of a policy server.
 
     Args:
-        spec: How long it may take, and in which environment it shall act.
+        spec: Options with the time limit, and the environment of a model server.
         address: Address of ``lemma serve`` or of a model server.
 
     Raises:
-        LemmaError: Nobody answers there, or in another language.
+        LemmaError: The server does not answer, or has another protocol.
     """
     mode = ProtocolMode(spec.timeout_s or FOREVER_S)
     if is_model_server(address):
@@ -108,7 +108,7 @@ MODEL_SERVER_DEFAULTS: dict[str, Any] = {
     "width": CLOSE_PX,
     "height": CLOSE_PX,
 }
-"""As in the benchmark for vla-eval's own harness."""
+"""Default options, as in the benchmark for vla-eval's own harness."""
 _STATE = "state"
 
 
@@ -117,18 +117,18 @@ def ask_model_server(
 ) -> ModelServer:
     """Return a model server as a policy.
 
-    Its action space is the requested one, else the one that the server names in its
-    ``observation_params``, else the default.
+    Its action space is the requested one; otherwise that in the server's
+    ``observation_params``; otherwise the default.
 
     Args:
         url: Such as ``"vla-eval://127.0.0.1:8001"``.
-        mode: How patient to be.
+        mode: Time limits of the protocol.
         asked: Options, of :data:`lemma.policies.control.interfaces.CONTROL_OPTIONS`,
-            and ``state``: what the state consists of.
+            and ``state``, the parts of the state.
 
     Raises:
-        LemmaError: There is no such option, nobody answers there, or its actions are
-            others.
+        LemmaError: There is no such option, the server does not answer, or it has
+            another action space.
     """
     valid = (*CONTROL_OPTIONS, _STATE)
     for name in asked:
@@ -146,7 +146,7 @@ def ask_model_server(
         options["cameras"] = _names(options["cameras"])
     if not state or not set(state) <= set(STATES):
         raise InvalidConfigError(
-            f"state={shown(state)} is impossible. Valid: some of {', '.join(STATES)}, "
+            f"state={shown(state)} is invalid. Valid: some of {', '.join(STATES)}, "
             "joined by +."
         )
     server.use(options, CONTROLS[options["control"]].columns, state)
@@ -154,18 +154,18 @@ def ask_model_server(
 
 
 def _names(names: Any) -> tuple[str, ...]:
-    """Return several names, also of a command line, where ``+`` is between them."""
+    """Return several names; on the command line they are joined by ``+``."""
     return tuple(names.split("+") if isinstance(names, str) else names)
 
 
 Weights = dict[str, dict[str, Any]]
-"""By name of the model: hash, seed of the training, digest of its data; and that a
-time limit ended it, if one did."""
+"""By name of the model: hash, training seed, digest of the data; and whether a time
+limit ended the training."""
 
 
 def learned_parts(policy: str) -> list[str]:
-    """Return the parts of a policy's name that mean weights of ours."""
-    # A colon is in addresses and in names of classes.
+    """Return the parts of a policy's name that are names or files of weights."""
+    # Addresses and names of classes contain a colon.
     return [
         part
         for part in parts_of(policy)
@@ -174,10 +174,10 @@ def learned_parts(policy: str) -> list[str]:
 
 
 def weights_of(spec: PolicySpec) -> Weights:
-    """Return the weights that a policy uses; none for oracles and others' policies.
+    """Return the weights of a policy; none for oracles and external policies.
 
     Raises:
-        LemmaError: They are missing or damaged.
+        LemmaError: Weights are missing or damaged.
     """
     checkpoint = checkpoint_of(spec.name)
     if checkpoint is not None:
@@ -189,12 +189,12 @@ def weights_of(spec: PolicySpec) -> Weights:
 
 
 def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
-    """Return the model of a file of weights, and what is said of it.
+    """Return the model's name in a file of weights, and an entry of :data:`Weights`.
 
     Raises:
-        WeightsError: It is damaged.
+        WeightsError: The file is damaged.
     """
-    # torch is an extra, which the oracle and other people's policies do without.
+    # torch is an optional dependency, which oracles and external policies do not need.
     from lemma.policies.weights_file import TIME_LIMIT, read_metadata  # noqa: PLC0415
 
     about = read_metadata(path)
@@ -208,10 +208,10 @@ def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _lerobot_weights(name: str) -> Weights:
-    """Return the weights of a folder that LeRobot saved, or that are published.
+    """Return the weights of a LeRobot folder, or published ones.
 
-    Of a name on the Hub there are none. A folder that ``save_pretrained`` wrote does
-    not say on which data and with which seed it was trained, so neither is told.
+    For a name on the Hub there are none. A folder of ``save_pretrained`` does not have
+    the data and the seed of the training, so the entry lacks them.
 
     Raises:
         WeightsError: The folder is damaged.

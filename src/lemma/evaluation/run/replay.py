@@ -1,4 +1,4 @@
-"""An episode played again from its line: the recorded decisions, without the policy."""
+"""Replay of an episode from the decisions in its line, without the policy."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -17,10 +17,11 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 Watcher = Callable[[Episode, int], None]
-"""Called with an episode before each sub-task, from 0, and again at the end."""
+"""Called with the episode and the number of sub-tasks before each one and at the
+end."""
 
 _FREE = (*WALL_CLOCK, "planning", "policy_error", "explanation", "messages")
-"""Fields that depend on the machine or on the policy, and sentences for people."""
+"""Fields that depend on the machine or on the policy, and explanations."""
 
 
 def play_again(
@@ -31,17 +32,18 @@ def play_again(
     *,
     strictly: bool = False,
 ) -> Row:
-    """Carry out the decisions of a line again, and return the line that this gives.
+    """Execute the decisions of a line again, and return the resulting line.
 
-    Physics repeats to the bit, so both lines are equal with the same versions.
+    Physics is deterministic, so both lines are equal with the same versions.
 
     Args:
         row: A line of ``episodes.jsonl``, not of a policy at control level.
-        instance: The instance that it was played on.
-        about: Settings, as in ``about.json``: the horizon, and the sentence given.
-        watch: Called with the episode before each sub-task; where robots act together
-            before each decision, with the number of sub-tasks that have ended.
-        strictly: Whether to end where the strict verdict was reached.
+        instance: The instance of the episode.
+        about: Settings, as in ``about.json``, with the horizon and the language
+            control.
+        watch: Called with the episode before each sub-task; for robots that act
+            together before each decision, with the number of ended sub-tasks.
+        strictly: Whether to end at the strict verdict.
     """
     rollout = _set_table(row, instance, about)
     lenient = None if strictly else row["lenient"]
@@ -55,11 +57,12 @@ def play_again(
                 break
             watch(rollout.episode, number)
             policy_input = rollout.policy_input(None)
-            # No evaluation wrote what is no decision: the policy would have failed.
+            # The check rejects forged lines; an evaluation writes valid decisions only.
             rollout.carry_out(policy_input, check(decision_of(step), policy_input))
     fault = (lenient or row)["policy_error"]
     if not rollout.is_over(strict=lenient is None):
         if fault is None:
+            rollout.refusal = _refusal_in(row)
             rollout.stop()
         else:
             rollout.fail(Fault(FaultKind(fault["kind"]), fault["explanation"]))
@@ -67,8 +70,15 @@ def play_again(
     return line_of(rollout, moved=row["perturb_start"], lenient=lenient is not None)
 
 
+def _refusal_in(row: Row) -> str | None:
+    """Return the words of a policy that refused, where a line has some."""
+    pair, together = row.get("pair"), row.get("together")
+    acted = row["subtasks"] or (together is not None and together["orders"])
+    return pair["reason"] if pair and pair["refused"] and not acted else None
+
+
 def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollout:
-    """Return the episode of a line at its beginning."""
+    """Return the episode of a line at its start."""
     kind, together = row["instruction_kind"], row.get("together")
     control = control_of(about.get("language", FULL), instance, kind)
     arguments = (instance, kind, about["horizon_s"], control)
@@ -84,7 +94,7 @@ def _set_table(row: Row, instance: Instance, about: Mapping[str, Any]) -> Rollou
 def _order_again(
     rollout: TeamRollout, together: Row, watch: Watcher, *, strict: bool
 ) -> int:
-    """Give the orders of a line again; return how many there are."""
+    """Give the orders of a line again; return their number."""
     orders: dict[int, list[Decision]] = {}
     for order in together["orders"]:
         poses = order["poses"]
@@ -109,12 +119,12 @@ def decision_of(step: dict[str, Any]) -> Decision:
 
 
 def differences(row: Row, again: Row, *, strictly: bool = False) -> Iterator[str]:
-    """Yield in what an episode differs when it is played again, in words.
+    """Yield texts of the differences between a line and its replay.
 
     Args:
-        row: Its line.
+        row: The line.
         again: The line that :func:`play_again` returned.
-        strictly: Whether it was played to the strict verdict alone.
+        strictly: Whether the replay ended at the strict verdict.
     """
     skipped = {"lenient"} if strictly else set()
     said, found = (

@@ -1,9 +1,9 @@
-"""Episodes played by a policy: many at once, so that it decides in batches.
+"""Episodes of a policy, many at once, so that it decides in batches.
 
-Protocol 2 has two verdicts. *Strict*: the first sub-task that its robot cannot do ends
-the episode, as a protective stop ends what a real arm does. *Lenient*: the policy is
-told and goes on, for the time that finding out takes. All episodes are played to their
-strict ends before any goes on, so no later decision can change a strict verdict.
+There are two verdicts. *Strict*: the first sub-task that its robot cannot do ends the
+episode, as a protective stop of a real arm. *Lenient*: the policy gets the outcome and
+continues, after the time of the attempt. All episodes are played to their strict ends
+before any continues, so later decisions cannot change strict verdicts.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -55,27 +55,27 @@ BLIND = View(
 
 @dataclass(frozen=True, slots=True)
 class StepRecord:
-    """One sub-task that a policy decided on, and how it went."""
+    """One sub-task of a policy with its result."""
 
     subtask: SubTask
     grounded: GroundedSubTask | None
-    """With poses; None where there were none."""
+    """The sub-task with poses; None without poses."""
     result: SkillResult
     start_s: float
     """Simulated time at which it began [s]."""
     advice: Feedback
-    """Judgement of the expert on it."""
+    """The expert's judgement of it."""
     fell: tuple[str, ...] = ()
-    """Names of the objects that fell off the table meanwhile."""
+    """Names of the objects that fell off the table during it."""
 
     def fields(self) -> dict[str, Any]:
-        """Return what its line says beside what every line does."""
+        """Return further fields of its record in the line."""
         return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """How an episode stands at one moment; at its end, what became of it."""
+    """The state of an episode's evaluation at one time, or its outcome at the end."""
 
     success: bool
     progress: float
@@ -83,51 +83,51 @@ class Verdict:
     stages: dict[str, Any]
     """The furthest stage and the verdicts; see :mod:`lemma.env.stages`."""
     failure: str | None
-    """Why it failed; None if it succeeded or is not over."""
+    """Reason of the failure; None after success or before the end."""
     fault: Fault | None
-    """Failure of the policy, if that ended the episode."""
+    """Fault of the policy, if that ended the episode."""
     asked_holds: bool | None
-    """Whether the other goal holds that was asked for; None if none was."""
+    """Whether the language control's other goal holds; None without one."""
     elapsed_s: float
     idle_s: dict[str, float]
-    """Simulated time in which each robot did nothing [s]."""
+    """Idle simulated time of each robot [s]."""
     clearance_m: float
-    """Smallest distance of the arms so far [m]."""
+    """Smallest distance between arms so far [m]."""
     steps: int
-    """Sub-tasks so far."""
+    """Number of sub-tasks so far."""
     left: int | None
-    """Sub-tasks that the expert needs from there; None if it has no plan."""
+    """Length of the expert's plan from here; None without a plan."""
     state_sha256: str
     """Digest of the simulator's whole state."""
     asked: int = 0
-    """How many efforts of its policy were counted so far."""
+    """Number of counted efforts of the policy so far."""
     together: dict[str, Any] | None = None
-    """Record of robots that act at the same time; None where they take turns."""
+    """Record of robots that act together; None for turns."""
 
 
 @dataclass
 class Rollout:
-    """One episode being played."""
+    """One running episode."""
 
     instance: Instance
     kind: str = "high_level"
-    """Which of its instructions is given."""
+    """Kind of instruction."""
     horizon_s: float = HORIZON_S
     control: LanguageControl = OWN_SENTENCE
-    """Sentence given instead of that instruction."""
+    """Language control that replaces the instruction."""
     steps: list[StepRecord] = field(default_factory=list)
     past: list[PastStep] = field(default_factory=list)
     efforts: list[Effort] = field(default_factory=list)
     """Effort of each decision, if the policy counts it."""
     fault: Fault | None = None
-    """Why the policy had no more decisions, if it failed."""
+    """Fault of the policy, if that ended the episode."""
     protective_stop: Verdict | None = None
-    """How it stood at its strict end, if a protective stop was that."""
+    """The strict verdict, if a protective stop was the strict end."""
     refusal: str | None = None
-    """Words of the policy as it stopped before it did anything; None if it acted."""
+    """The policy's explanation if its first decision was to stop; otherwise None."""
 
     def __post_init__(self) -> None:
-        """Set the table."""
+        """Begin the episode."""
         self.episode = self._begin()
         self.clearance = ClearanceWatch(self.episode.simulation)
         self._phrases = robot_phrases(self.instance.scene.robots)
@@ -137,13 +137,13 @@ class Rollout:
 
     @property
     def instruction(self) -> str:
-        """The sentence given to the policy."""
+        """The instruction for the policy."""
         own = instruction(self.instance, self.kind)
         return own if self.control.sentence is None else self.control.sentence
 
     @property
     def success(self) -> bool:
-        """Whether it succeeded strictly; see :meth:`verdict` for the lenient one."""
+        """Strict success; see :meth:`verdict` for the lenient one."""
         return self.protective_stop is None and self._ended_well
 
     @property
@@ -151,12 +151,12 @@ class Rollout:
         return self.fault is None and self.episode.is_success
 
     def is_over(self, *, strict: bool) -> bool:
-        """Whether it is over, or, strictly, has had to stop."""
+        """Return whether it is over; strictly also after a protective stop."""
         return self.episode.is_over or (strict and self.protective_stop is not None)
 
     @property
     def asked_holds(self) -> bool | None:
-        """Whether the other goal holds that was asked for; None if none was."""
+        """Return whether the language control's other goal holds; None without one."""
         if self.control.asks is None:
             return None
         simulation = self.episode.simulation
@@ -165,7 +165,7 @@ class Rollout:
 
     @property
     def failure(self) -> str | None:
-        """Why it failed strictly; None if it succeeded or is not over."""
+        """Reason of the strict failure; None after success or before the end."""
         return PROTECTIVE_STOP if self.protective_stop else self._failure
 
     @property
@@ -173,20 +173,20 @@ class Rollout:
         return self.episode.failure if self.fault is None else POLICY_ERROR
 
     def left(self) -> int | None:
-        """Return how many sub-tasks the expert needs; None if it has no plan."""
+        """Return the length of the expert's plan; None without a plan."""
         return left_in(self.episode)
 
     def replans(self, decisions: range) -> int:
-        """Return how many decisions followed a sub-task that was not carried out.
+        """Return the number of decisions after a sub-task that was not carried out.
 
         Args:
-            decisions: Their numbers, from 0.
+            decisions: Numbers of the decisions, from 0.
         """
         before = [self.steps[number - 1] for number in decisions if number > 0]
         return sum(not step.result.ok for step in before)
 
     def verdict(self) -> Verdict:
-        """Return how it stands, leniently."""
+        """Return the present lenient verdict."""
         info = self.episode.info()
         return Verdict(
             success=self._ended_well,
@@ -206,14 +206,13 @@ class Rollout:
         )
 
     def policy_input(self, rig: CameraRig | None, policy: object = None) -> PolicyInput:
-        """Return what a policy is given now; it sees nothing without cameras.
+        """Return the present input of a policy; without cameras it has no images.
 
-        Everything is rendered now, which is neither the policy's time nor its fault if
-        it fails, and copied: nothing leads from it to the simulation.
+        Images are rendered at once: neither time nor errors count for the policy.
 
         Args:
             rig: Cameras of the policy, if it has any.
-            policy: An oracle is given the truth as well.
+            policy: The policy; an oracle gets privileged state, too.
 
         Raises:
             RenderingError: OpenGL does not work here.
@@ -221,16 +220,17 @@ class Rollout:
         view, scene = BLIND, self.episode.simulation.scene
         if rig is not None:
             view = rig.capture(scene, cameras=wants_cameras(policy))
-        fields = (self.instruction, self._phrases, view, tuple(self.past))
+        hands = scene.spec.other_hands
+        given = (self.instruction, self._phrases, view, tuple(self.past), hands)
         if is_oracle(policy):
-            return OracleInput(*fields, episode=self.episode)
-        return PolicyInput(*fields)
+            return OracleInput(*given, episode=self.episode)
+        return PolicyInput(*given)
 
     def fields(self, strict: Verdict) -> dict[str, Any]:
-        """Return what its line says beside what every line does.
+        """Return further fields of its line.
 
         Args:
-            strict: How it stood at its strict end.
+            strict: The strict verdict.
         """
         return {}
 
@@ -239,13 +239,13 @@ class Rollout:
         self.episode.stop()
 
     def fail(self, fault: Fault) -> None:
-        """End the episode for a fault of its policy."""
+        """End the episode after a fault of the policy."""
         self.fault = fault
         self.efforts += [fault.effort] if fault.effort else []
         self.episode.stop()
 
     def carry_out(self, policy_input: Any, decision: Any) -> StepRecord | None:
-        """Carry out a decision, or end the episode for a fault; None if it is over."""
+        """Execute a decision, or end the episode after a fault; None if it is over."""
         if isinstance(decision, Fault):
             self.fail(decision)
             return None
@@ -253,16 +253,16 @@ class Rollout:
         try:
             return self.take(policy_input, decision)
         except PhysicsError as error:
-            # Judge the state before physics failed.
+            # Judge the state before the physics became unstable.
             self.episode.restore(before)
             self.fail(Fault(FaultKind.UNSTABLE, str(error)))
             return None
 
     def take(self, policy_input: PolicyInput, decision: Decision) -> StepRecord | None:
-        """Carry out a decision; None if it was to stop.
+        """Execute a decision; None for ``stop``.
 
         Raises:
-            PhysicsError: It made the physics unstable.
+            PhysicsError: The physics became unstable.
         """
         episode = self.episode
         self.efforts += [decision.effort] if decision.effort else []
@@ -300,7 +300,7 @@ class Rollout:
 
 @dataclass(frozen=True)
 class Player:
-    """A policy, and what it sees with."""
+    """A policy with its cameras."""
 
     policy: Any
     """A :class:`~lemma.policies.interfaces.Policy`, or one at control level."""
@@ -319,11 +319,11 @@ class Player:
     def begin(
         self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
     ) -> Rollout:
-        """Set the table for an episode."""
+        """Begin an episode."""
         return Rollout(instance, kind, control=control)
 
     def policy_input(self, rollout: Rollout) -> Any:
-        """Return what the policy is given of an episode now."""
+        """Return the policy's present input in an episode."""
         return rollout.policy_input(self.rig, self.policy)
 
 
@@ -335,27 +335,27 @@ def roll_out(
     *,
     lenient: bool = True,
 ) -> Iterator[Rollout]:
-    """Play episodes to their ends, yielding each as soon as it is over.
+    """Play episodes to their ends, yielding each at its end.
 
-    A policy that raises, hangs or answers nonsense fails the episode in which it does;
-    the others go on.
+    If the policy raises an exception, hangs or returns an invalid decision, the
+    affected episode fails, and the others continue.
 
     Args:
-        rollouts: Episodes to play; the next is set up when one has ended.
-        player: Decides, for all running episodes together.
-        at_once: Episodes that run at a time.
-        on_step: Called with every sub-task as soon as it has ended.
-        lenient: Whether episodes go on after a protective stop, when all others have
-            come to an end.
+        rollouts: Episodes to play; the next one begins when one has ended.
+        player: Decides for all running episodes as a batch.
+        at_once: Number of episodes that run at a time.
+        on_step: Called with every sub-task at its end.
+        lenient: Whether episodes continue after a protective stop, after the strict
+            ends of all others.
 
     Raises:
-        PolicyUnreachableError: The policy's server is gone.
-        PlannerUnavailableError: So is that of its language model.
+        PolicyUnreachableError: The policy's server does not answer.
+        PlannerUnavailableError: The server of its language model does not answer.
     """
     guard = IsolatedPolicy(player.policy)
 
     def to_the_end(begun: Iterable[Rollout], *, strict: bool) -> Iterator[Rollout]:
-        """Yield each rollout when it is over, or, strictly, has had to stop."""
+        """Yield each rollout at its end; strictly also at a protective stop."""
         waiting = iter(begun)
         running = list(islice(waiting, at_once))
         while running:

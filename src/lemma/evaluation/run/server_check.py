@@ -1,11 +1,11 @@
-"""One known question, asked of a policy: does it use our conventions?
+"""A check that a policy uses the conventions of the benchmark.
 
-A policy that mirrors yaw, counts in millimetres, orders a quaternion otherwise or takes
-one robot for the other runs without an error and fails every episode. Its first
-decision in a scene whose answer is known shows the mistake; docs/serving.md prints the
-scene and the answer. Motor commands are asked for a second after the expert began: one
-arm is on its way to a cube with open fingers, and the other stands still, so no
-sensible command leads far from there.
+A policy that mirrors yaw, uses millimeters, another order of quaternions or exchanges
+the robots runs without an error and fails every episode. Its first decision in a known
+scene shows the mistake; docs/serving.md has the scene and the right decision. At
+control level the scene is one second after the start of the expert: one arm is moving
+to a cube with open fingers, and the other stands still, so a valid command is near the
+present state.
 """
 
 import math
@@ -42,32 +42,33 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 from lemma.tasks.suite import load_instance
 
 SCENE = ("stack", "val", 3)
-"""Task, split and index. Each robot reaches one of the two cubes, whose sides are far
-from parallel to the axes."""
+"""Task, split and index. Each robot reaches only one of the two cubes, and their sides
+are far from parallel to the axes."""
 NEAR_M = 0.03
 NEAR_RAD = 0.2
 
 
 AFTER_S = 1.0
-"""When the question is asked [s]."""
+"""Time of the check at control level [s]."""
 FAR_RAD, FAR_M, FAR_TURN_RAD = 0.5, 0.3, 1.0
-"""How far no command leads at once: a joint, a hand, and by how much that turns."""
+"""Distances from the present state that no valid command has: of a joint [rad], of a
+hand [m], and of its rotation [rad]."""
 _LEAST_STEP = 1e-3
 _AWAY = -0.3
-"""Cosine of the angle to the cube at which a step leads away from it."""
+"""Cosine of the angle to the cube below which a step leads away from it."""
 
 
 @dataclass(frozen=True)
 class ServerCheck:
-    """The answer of a policy to a known question."""
+    """A policy's decision in the known scene."""
 
     instruction: str
     answer: dict[str, Any]
-    """Sub-task and poses as plain data; at control level, the first action by name of
-    the number."""
+    """Sub-task and poses as plain data; at control level, the first action by names of
+    its numbers."""
     mistakes: dict[str, str]
-    """Mistakes under ``pick``, ``robot`` and ``heading``; at control level under
-    ``layout``, ``gripper`` and ``direction``."""
+    """Mistakes by ``pick``, ``robot`` and ``heading``; at control level by ``layout``,
+    ``gripper`` and ``direction``."""
 
     @property
     def ok(self) -> bool:
@@ -83,17 +84,17 @@ def first_subtask() -> SubTask:
 
 
 def check_server(url: str, arguments: tuple[tuple[str, Any], ...] = ()) -> ServerCheck:
-    """Ask a served policy the known question of its level.
+    """Check a served policy in the known scene of its level.
 
     Args:
         url: Such as ``"http://127.0.0.1:8000"``, or the address of a model server.
         arguments: Names and values of the environment of a model server.
 
     Raises:
-        InvalidConfigError: It is no address.
-        PolicyUnreachableError: Nobody answers there.
-        ProtocolError: The other side speaks another protocol.
-        PolicyFailedError: It has no decision, or one that cannot be read.
+        InvalidConfigError: The address is invalid.
+        PolicyUnreachableError: The server does not answer.
+        ProtocolError: The server has another protocol.
+        PolicyFailedError: The policy has no decision, or an invalid one.
         RenderingError: OpenGL does not work here.
     """
     part = connected(PolicySpec(url, arguments=arguments), url)
@@ -104,7 +105,7 @@ def check_server(url: str, arguments: tuple[tuple[str, Any], ...] = ()) -> Serve
 
 
 def _check_decision(part: Any) -> ServerCheck:
-    """Ask a policy, planner or grounder for its first decision in the known scene."""
+    """Check the first decision of a policy, planner or grounder in the known scene."""
     play = Rollout(load_instance(*SCENE))
     policy_input = play.policy_input(CameraRig())
     subtask, grounded = first_subtask(), None
@@ -145,7 +146,7 @@ def _decision_mistakes(
     if subtask.robot != able:
         found["robot"] = f"It sends {subtask.robot}; {able} alone reaches {picked}."
     if grounded is not None:
-        # A cube looks the same after a quarter turn.
+        # A cube is symmetric under quarter turns.
         off = math.remainder(grounded.pick.yaw - cubes[picked].yaw, 0.5 * math.pi)
         if abs(off) > NEAR_RAD:
             found["heading"] = (
@@ -156,14 +157,14 @@ def _decision_mistakes(
 
 
 def check_control(policy: Any) -> ServerCheck:
-    """Ask a policy at control level for an action at the known moment.
+    """Check the first action of a policy at control level in the known scene.
 
     Args:
         policy: See :class:`lemma.policies.control.interfaces.ControlPolicy`.
 
     Raises:
-        PolicyFailedError: It has no action, or one that cannot be read.
-        PolicyUnreachableError: Nobody answers there.
+        PolicyFailedError: The policy has no action, or an invalid one.
+        PolicyUnreachableError: The server does not answer.
         RenderingError: OpenGL does not work here.
     """
     player = ControlPlayer(policy)
@@ -189,7 +190,7 @@ def check_control(policy: Any) -> ServerCheck:
 
 
 def _set_out(env: ControlEnv) -> tuple[int, str]:
-    """Let the expert begin; return the number of the robot that moves, and its cube."""
+    """Run the expert's start; return the moving robot's number and its cube."""
     episode = Episode(env.instance)
     scene = episode.simulation.scene
     subtask, grounded = Expert(scene, env.instance.goal).act()
@@ -202,13 +203,13 @@ def _set_out(env: ControlEnv) -> tuple[int, str]:
 def mistakes(
     env: ControlEnv, rows: FloatArray, robot: int, cube: str
 ) -> dict[str, str]:
-    """Return the mistakes of an action at the known moment.
+    """Return the mistakes of an action in the known scene.
 
     Args:
-        env: At that moment.
+        env: Environment in the state of the check.
         rows: The action, (robots, numbers).
-        robot: The robot that is on its way, by number.
-        cube: Where it goes.
+        robot: Number of the moving robot.
+        cube: Name of the cube to which it moves.
     """
     found = {}
     jump = _jump(env, rows)
@@ -252,9 +253,9 @@ def _direction(
 
 
 def _jump(env: ControlEnv, rows: FloatArray) -> float:
-    """Return how far an action leads at once; 1 is too far, steps never are.
+    """Return the distance of an action from the present state; above 1 is too far.
 
-    Nor are waypoints: they are the ends of motions.
+    It is 0 for relative steps, and for waypoints, which are the ends of motions.
     """
     mode = CONTROLS[env.config.control]
     if env.config.control == "joint_position":
@@ -275,7 +276,7 @@ def _jump(env: ControlEnv, rows: FloatArray) -> float:
 
 
 def _layout(env: ControlEnv, rows: FloatArray) -> str:
-    """Return how else an action can be read that leads too far."""
+    """Return a sentence with another interpretation of an action that is too far."""
     for reading, other in _readings(env, rows):
         if _jump(env, other) < 1.0:
             return f"It leads far from where the arms are, but not if {reading}."
@@ -311,6 +312,6 @@ def _readings(env: ControlEnv, rows: FloatArray) -> Iterator[tuple[str, FloatArr
 
 
 def _poses(env: ControlEnv) -> FloatArray:
-    """Return where the hands are: position [m] and quaternion wxyz, (robots, 7)."""
+    """Return the hands' poses: position [m] and quaternion wxyz, (robots, 7)."""
     rows = env.observe()["tcp_pose"].reshape(-1, 7)
     return np.asarray(rows, np.float64)

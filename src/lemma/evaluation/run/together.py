@@ -1,10 +1,9 @@
-"""Episodes in which several robots act at once: orders to those that are free.
+"""Episodes of robots that act together, with orders for free robots.
 
-They are played by the same loop as those in turns, and yield the same verdicts. The
-policy is asked at every decision point of :class:`lemma.env.team.orders.Team`. The
-first order that its robot cannot carry out is the strict end; leniently it costs its
-robot alone some time. A line holds the orders beside their outcomes, so an
-episode can be executed again without its policy.
+The loop and the verdicts are those of episodes in turns. The policy decides at every
+decision point of :class:`lemma.env.team.orders.Team`. The first order that its robot
+cannot carry out is the strict end; leniently only that robot loses time. A line has the
+orders and their outcomes, so an episode can be executed again without its policy.
 """
 
 from collections.abc import Sequence
@@ -55,22 +54,22 @@ from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 @dataclass(frozen=True, slots=True)
 class TeamStep(StepRecord):
-    """One order that has ended."""
+    """One ended order."""
 
     waited_s: float = 0.0
-    """Time in which it waited for a sector [s]."""
+    """Time of waiting for a sector [s]."""
     effect_s: float | None = None
-    """When its effect was first seen [s]."""
+    """Time at which its effect was first observed [s]."""
 
     def fields(self) -> dict[str, Any]:
-        """Return what its line says beside what every line does."""
+        """Return further fields of its record in the line."""
         effect_s = None if self.effect_s is None else round(self.effect_s, 3)
         return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s}
 
 
 @dataclass(frozen=True, slots=True)
 class _OrderRecord:
-    """An order of the policy, as lines keep it."""
+    """An order of the policy, as in lines."""
 
     asked: int
     subtask: SubTask
@@ -79,7 +78,7 @@ class _OrderRecord:
 
 @dataclass(frozen=True, slots=True)
 class _Note:
-    """The beginning of an order that is under way."""
+    """The state at the start of an active order."""
 
     subtask: SubTask
     view: View
@@ -91,16 +90,16 @@ class _Note:
 
 @dataclass(kw_only=True)
 class TeamRollout(Rollout):
-    """One episode in which orders are given to free robots."""
+    """One episode of robots that act together."""
 
     expert_poses: bool
-    """Whether the expert grounds the orders, when they begin."""
+    """Whether the expert grounds the orders when they begin."""
     asked: int = 0
-    """How many answers were carried out; ``stop`` is none of them."""
+    """Number of the policy's decisions so far, without ``stop``."""
     orders: list[_OrderRecord] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
     notes: dict[str, _Note] = field(default_factory=dict)
-    """Of orders under way, by robot, oldest first."""
+    """Start states of active orders, by robot, oldest first."""
 
     def _begin(self) -> Episode:
         episode = super()._begin()
@@ -109,7 +108,7 @@ class TeamRollout(Rollout):
         return episode
 
     def policy_input(self, rig: CameraRig | None, policy: object = None) -> TeamInput:
-        """Return what a policy is given now; see :meth:`Rollout.policy_input`."""
+        """Return the present input of a policy; see :meth:`Rollout.policy_input`."""
         scene, free = self.episode.simulation.scene, self.team.free
         view, own = BLIND, dict[str, View]()
         if asks_robots(policy):
@@ -120,7 +119,8 @@ class TeamRollout(Rollout):
                 own[name] = rig.capture(scene, cameras=cameras, robots=(name,))
             view = view if own else rig.capture(scene, cameras=cameras)
         waits = self.team.waits_for
-        common = (self.instruction, self._phrases, view, tuple(self.past))
+        hands = self.instance.scene.other_hands
+        common = (self.instruction, self._phrases, view, tuple(self.past), hands)
         team_fields: dict[str, Any] = {
             "time_s": self.episode.elapsed_s,
             "free": free,
@@ -138,7 +138,7 @@ class TeamRollout(Rollout):
         return TeamInput(*common, **team_fields)
 
     def carry_out(self, policy_input: Any, decision: Any) -> None:
-        """Carry out an answer, or end the episode for a fault."""
+        """Execute a policy's orders, or end the episode after a fault."""
         if isinstance(decision, Fault):
             self.fail(decision)
             return
@@ -148,7 +148,7 @@ class TeamRollout(Rollout):
         try:
             self.take(policy_input, decision)
         except PhysicsError as error:
-            # Judge the state before physics failed.
+            # Judge the state before the physics became unstable.
             self.episode.restore(before[0])
             self.team.restore(before[1])
             for each, length in zip(lists, lengths, strict=True):
@@ -157,16 +157,18 @@ class TeamRollout(Rollout):
             self.fail(Fault(FaultKind.UNSTABLE, str(error)))
 
     def take(self, policy_input: Any, decision: Any) -> None:
-        """Give orders, and let time pass to the next decision.
+        """Give orders, and advance to the next decision point.
 
         Raises:
-            PhysicsError: It made the physics unstable.
+            PhysicsError: The physics became unstable.
         """
         orders: Orders = decision
         self.efforts += [one.effort for one in orders.decisions if one.effort]
         self.efforts += orders.efforts
         self.messages += orders.messages
-        if any(one.stops for one in orders.decisions):
+        stops = [one for one in orders.decisions if one.stops]
+        if stops:
+            self.refusal = None if self.orders else stops[0].explanation
             self.stop()
             return
         self.asked += 1
@@ -194,7 +196,7 @@ class TeamRollout(Rollout):
             self._note((refused,) if refused else ())
 
     def _expected(self) -> SymbolicState:
-        """Return the state that all that is under way will leave behind."""
+        """Return the expected state after all active orders."""
         now = self.team.observe()
         return self.team.expected(now, self.team.settled(now))
 
@@ -203,7 +205,7 @@ class TeamRollout(Rollout):
         return times.waited_s.get(robot, 0.0)
 
     def _note(self, ended: Sequence[Done]) -> None:
-        """Take note of orders that have ended."""
+        """Record ended orders."""
         for done in ended:
             note, result = self.notes.pop(done.robot), done.result
             lost = self.episode.fallen
@@ -228,11 +230,11 @@ class TeamRollout(Rollout):
             )
 
     def stop(self) -> None:
-        """Let those at work finish, and end the episode."""
+        """Finish active orders, and end the episode."""
         self._note(self.team.stop())
 
     def fail(self, fault: Fault) -> None:
-        """End the episode for a fault of its policy; those at work finish."""
+        """End the episode after a fault of the policy; active orders finish."""
         self.fault = fault
         self.efforts += [fault.effort] if fault.effort else []
         if fault.kind is FaultKind.UNSTABLE:
@@ -241,15 +243,15 @@ class TeamRollout(Rollout):
             self.stop()
 
     def left(self) -> int | None:
-        """Return how many sub-tasks the expert needs after all that is under way."""
+        """Return the length of the expert's plan after all active orders."""
         return left_in(self.episode, self._expected())
 
     def replans(self, decisions: range) -> int:
-        """Return how many sub-tasks were not carried out; 0 where nothing was asked."""
+        """Return the number of orders not carried out; 0 without decisions."""
         return sum(not step.result.ok for step in self.steps) if decisions else 0
 
     def verdict(self) -> Verdict:
-        """Return how it stands, leniently."""
+        """Return the present lenient verdict."""
         return replace(super().verdict(), together=self._figures())
 
     def _figures(self) -> dict[str, Any]:
@@ -309,11 +311,11 @@ class TeamRollout(Rollout):
 
 
 class TeamPlayer(Player):
-    """A policy that gives orders to a team, and what it sees with."""
+    """A team policy with its cameras."""
 
     def begin(
         self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
     ) -> Rollout:
-        """Set the table for an episode."""
+        """Begin an episode."""
         poses = isinstance(self.policy, WithExpertPoses)
         return TeamRollout(instance, kind, control=control, expert_poses=poses)

@@ -1,6 +1,6 @@
-"""Watches of an episode: how near the arms come, and what is grasped and touched.
+"""Observers of an episode: clearance between arms, contacts, grasps.
 
-They read the state and change nothing.
+They read the state and do not change it.
 """
 
 import math
@@ -19,26 +19,26 @@ from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import RobotIndex
 
 PERIOD_S = 0.1
-"""Simulated time between two looks [s]."""
+"""Simulated time between two measurements [s]."""
 _TICKS = round(PERIOD_S / TICK_S)
 
 
 class ClearanceWatch:
-    """Watches the smallest distance between any two arms of a simulation.
+    """Measures the smallest distance between any two arms of a simulation.
 
-    The arms are the capsules that enclose their links and grippers, without what is
-    held, at the measured joint angles. The distance is signed: 0 or less says that two
-    capsules touch or overlap, which real links inside of them may not yet do.
+    An arm is the capsules around its links and gripper, without a held object, at the
+    measured joint angles. The distance is signed: at 0 or less two capsules touch or
+    overlap, although the links inside of them may not.
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        """Look for the first time, and go on whenever time passes."""
+        """Measure once, and subscribe to the simulation's ticks."""
         self._qpos = simulation.scene.data.qpos
         arms = [_Arm(robot) for robot in simulation.scene.robots]
         self._pairs = list(combinations(arms, 2))
         self._ticks = 0
         self.least_m = math.inf
-        """Smallest distance so far [m]; infinite where there is one arm."""
+        """Smallest distance so far [m]; infinity for one arm."""
         self._look()
         simulation.observers.append(self._tick)
 
@@ -55,13 +55,13 @@ class ClearanceWatch:
 
 
 class ContactWatch:
-    """Watches for how long two arms touch, in every servo tick."""
+    """Measures the time of contact between arms, in every servo tick."""
 
     def __init__(self, simulation: Simulation) -> None:
-        """Go on whenever time passes."""
+        """Subscribe to the simulation's ticks."""
         self._data, self._parts = simulation.scene.data, simulation.scene.parts
         self.touched_s = 0.0
-        """Time in which any two arms touched [s]."""
+        """Time with contact between any two arms [s]."""
         simulation.observers.append(self._tick)
 
     def _tick(self) -> None:
@@ -71,7 +71,7 @@ class ContactWatch:
 
 
 class _Arm:
-    """The capsules of one arm, with room to place them."""
+    """The capsules of one arm, with buffers for their positions."""
 
     def __init__(self, robot: RobotIndex) -> None:
         envelope = envelope_of(robot.arm.name)
@@ -91,10 +91,10 @@ class _Arm:
 
 @kernel
 def _nearest(first: FloatArray, second: FloatArray, least: float) -> float:
-    """Return the smallest gap between capsules of two arms, if below ``least`` [m]."""
+    """Return the smaller of ``least`` and the gap between capsules of two arms [m]."""
     for i in range(first.shape[0]):
         for j in range(second.shape[0]):
-            # The bound from balls around the segments is cheaper, and mostly enough.
+            # A cheap lower bound from bounding spheres, which mostly suffices.
             gap = _ball_gap(first[i], second[j])
             if gap < least:
                 radii = first[i, 6] + second[j, 6]
@@ -116,13 +116,13 @@ def _ball_gap(a: FloatArray, b: FloatArray) -> float:
 
 
 class HandlingWatch:
-    """Takes note of what is grasped and let go, and of what a hand or tool touches.
+    """Records grasps, releases, and cubes that a hand or tool touches.
 
-    It looks once per control step of an episode at control level.
+    It measures once per control step of an episode at control level.
     """
 
     def __init__(self, episode: Episode) -> None:
-        """Begin with nothing in any hand."""
+        """Begin without grasps."""
         self._episode = episode
         scene = episode.simulation.scene
         self._data = scene.data
@@ -131,14 +131,14 @@ class HandlingWatch:
             or scene.model.geom(geom).name.partition("/")[0]
             for geom in range(scene.model.ngeom)
         ]
-        """The entity or robot that each geom belongs to."""
+        """The entity or robot of each geom."""
         self._hands = {*episode.simulation.arms, STICK}
         self._held: dict[str, str] = {}
         self._events: list[dict[str, Any]] = []
         self._touched: set[str] = set()
 
     def look(self) -> None:
-        """Look at the present moment."""
+        """Record changes since the last call."""
         held = self._episode.simulation.held()
         if held != self._held:
             self._note(held)
@@ -159,7 +159,7 @@ class HandlingWatch:
         self._held = dict(held)
 
     def fields(self) -> dict[str, Any]:
-        """Return it as plain data, ready for JSON."""
+        """Return the record as plain data, ready for JSON."""
         tops = {on.top for on in self._episode.instance.goal.conjuncts}
         return {
             "events": self._events,

@@ -1,1 +1,1 @@
-"""Policies at control level: their interface, and the expert behind it."""
+"""Policies at control level: their interface, LeRobot's, and the expert."""

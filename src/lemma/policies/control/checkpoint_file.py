@@ -1,8 +1,8 @@
-"""Checkpoints of LeRobot in one file of a few bits a weight, as weights are published.
+"""LeRobot checkpoints in one packed file, the format of published weights.
 
-A checkpoint is a folder: weights, configuration, and what comes before and after the
-network with the statistics of its data. The file holds all of it but where it was
-trained; unpacked, lerobot reads it as its own.
+A checkpoint is a folder: weights, configuration, and the pre- and post-processors with
+the statistics of the data. The file holds all of it except the paths of the training
+machine; lerobot reads the unpacked folder.
 """
 
 import re
@@ -23,27 +23,27 @@ from lemma.policies.weights_file import read_metadata, unpack
 MODEL = "model.safetensors"
 """File of a checkpoint with its weights."""
 FILE = "file:"
-"""Begins the name of a tensor that is a file of the folder, byte by byte."""
+"""Prefix of the name of a tensor with the bytes of a file of the folder."""
 FILE_NAME = re.compile(r"[a-z0-9_]+\.(json|safetensors)")
-"""Names of these files."""
+"""Valid names of these files."""
 
 
 def unpack_checkpoint(path: Path, folder: Path) -> None:
-    """Write the folder that lerobot reads.
+    """Unpack a file to a folder that lerobot reads.
 
     Args:
         path: A published file, which ``scripts/publish_weights.py pack`` wrote.
         folder: Existing folder to write to.
 
     Raises:
-        WeightsError: The file is damaged, or no checkpoint of LeRobot, or the folder
+        WeightsError: The file is damaged, it is no LeRobot checkpoint, or the folder
             cannot be written to.
     """
     metadata = read_metadata(path)
     if not metadata.model.startswith(LEROBOT):
         raise WeightsError(
-            f"{path} has weights of {metadata.model}, which is none of LeRobot's: "
-            "leave out 'lerobot:'."
+            f"{path} has weights of {metadata.model}, which is no policy of LeRobot. "
+            "Leave out 'lerobot:'."
         )
     weights, files = {}, {}
     try:
@@ -80,15 +80,15 @@ def _no_room(path: Path, error: Exception) -> WeightsError:
 
 @contextmanager
 def checkpoint_folder(name: str) -> Iterator[str]:
-    """Give what lerobot reads: published weights are unpacked meanwhile.
+    """Yield a folder or a name that lerobot can load; unpack published weights.
 
     Args:
-        name: Name of published weights; or a folder or a repository of the Hub, which
-            is returned as it is.
+        name: Name of published weights, which are in a temporary folder within the
+            context; or a folder or a repository of the Hub, which is yielded unchanged.
 
     Raises:
-        WeightsError: There is nothing of that name, or published weights are missing or
-            damaged, or there is no room for temporary files.
+        WeightsError: There is no such checkpoint, published weights are missing or
+            damaged, or there is no space for temporary files.
     """
     published = published_weights()
     if name not in published:

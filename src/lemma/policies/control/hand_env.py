@@ -1,11 +1,11 @@
-"""The control level for one hand that points down and is moved step by step.
+"""The control level for one hand that points down and moves in Cartesian steps.
 
-A small environment for learners: the robot that reaches the object acts by five
-numbers, sees the named numbers of
-:data:`~lemma.policies.control.hand_steps.FEATURE_NAMES`, and is paid for coming
-further, stage by stage. The same functions move, show and pay hands in
-:mod:`lemma.warp`, and :class:`~lemma.policies.control.hand_steps.HandPolicy` plays what
-was learned here or there.
+A small environment for reinforcement learning. The robot that reaches the object has
+five action dimensions, observes the features in
+:data:`~lemma.policies.control.hand_steps.FEATURE_NAMES`, and gets a dense reward for
+progress through the stages. Actions, features and rewards are those of
+:mod:`lemma.warp`, so :class:`~lemma.policies.control.hand_steps.HandPolicy` executes
+networks from both.
 """
 
 from typing import Any
@@ -32,13 +32,14 @@ from lemma.robots.gripper import FINGER_OPENING_M
 
 
 class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
-    """A robot moves its hand forward, left and up, turns it, and moves its fingers.
+    """One robot moves its hand forward, left and up, turns it, and moves its fingers.
 
-    It is the one that reaches the goal's first object.
+    The acting robot is the one that reaches the goal's first object. Actions and
+    features are in :mod:`~lemma.policies.control.hand_steps`.
 
-    The reward of a step is the rise of the potential of ``reward="dense"``, and 1 more
-    for success. An end because something was thrown costs nothing but what could have
-    been earned later, so that hands do not learn to keep away from things.
+    The reward of a step is the increase of the potential of ``reward="dense"``, plus 1
+    for success. An episode that ends because an object was thrown has no further
+    penalty, so that hands do not learn to avoid objects.
     """
 
     def __init__(
@@ -56,10 +57,10 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
             split: Split of its instances.
             horizon_s: Simulated seconds after which an episode is truncated.
             near: Share of episodes that begin with the hand over the goal's first
-                object, around it or closed on it; may be changed at any time.
+                object, around it or closed on it; the attribute may be changed.
 
         Raises:
-            UnknownNameError: No such task or split.
+            UnknownNameError: There is no such task or split.
             InvalidConfigError: The share is out of range.
         """
         config = EnvConfig(
@@ -74,7 +75,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Set the table, as the environment inside does."""
+        """Begin an episode; see :meth:`lemma.env.control_env.ControlEnv.reset`."""
         super().reset(seed=seed)
         self.lemma.set_table(seed, options)
         observation, asked = self.lemma.observe(), None
@@ -88,7 +89,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
         return self._look(observation), info
 
     def _start(self, robot: int, noise: NDArray[np.float64]) -> float:
-        """Put a hand near the goal's first object; return its asked opening [m]."""
+        """Put a hand near the goal's first object; return its commanded opening [m]."""
         episode = self.lemma.episode
         scene, goal = episode.simulation.scene, episode.instance.goal
         arm = list(episode.simulation.arms.values())[robot]
@@ -129,5 +130,5 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], Any]):
         return self._look(observation), reward, terminated, truncated, info
 
     def close(self) -> None:
-        """Free what the environment inside uses."""
+        """Close the wrapped environment."""
         self.lemma.close()

@@ -1,4 +1,4 @@
-"""Beginnings of episodes from which a grasp is near, for learners."""
+"""Initial states with the hand near a grasp, for reinforcement learning."""
 
 import math
 
@@ -20,22 +20,22 @@ def starts(
     angles: Tensor,
     noise: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return states of arms from which a grasp is near.
+    """Return states of arms near a grasp.
 
-    Half of them have the open hand over the object, three in ten around it; in the
-    others the fingers have closed on it.
+    In half of them the open hand is over the object, in 30 % around it, and in the
+    others the fingers are closed on it.
 
     Args:
-        at: Where the object is grasped: x, y, z, yaw, (..., 1, 4) [m, rad].
-        quarter_rad: The turn that makes no difference to that, or 0 [rad].
-        base: Of the robots.
-        arms: Their arms.
-        angles: Where these are, (..., robots, 6) [rad].
+        at: Grasp pose of the object in the world: x, y, z, yaw, (..., 1, 4) [m, rad].
+        quarter_rad: Rotational symmetry of the grasp, or 0 [rad].
+        base: Base poses x, y, yaw in the world, (..., robots, 3) [m, rad].
+        arms: The robots' arms.
+        angles: Present joint angles, (..., robots, 6) [rad].
         noise: Uniform in [0, 1), (..., 1, 5).
 
     Returns:
-        Joint angles (..., robots, 6) [rad]; opening and asked opening (..., 1) [m]; and
-        whether each arm can be there, (..., robots).
+        Joint angles (..., robots, 6) [rad]; opening and commanded opening (..., 1) [m];
+        and whether each arm can reach its state, (..., robots).
     """
     kind, middle = noise[..., 4:], 2.0 * noise - 1.0
     over, around = kind < 0.5, (kind >= 0.5) & (kind < 0.8)

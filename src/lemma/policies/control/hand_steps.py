@@ -1,12 +1,11 @@
-"""Hands that point down and are moved step by step, in batches of tensors.
+"""Cartesian steps of hands that point down, in batches of tensors.
 
-A row has five numbers in [-1, 1] for each robot: forward, left, up, turn, fingers.
-*Forward* is horizontally away from the axis of the robot's base, *left* is to the left
-of that. *Fingers* is by how much they are to be opened, or closed: what is asked of
-them stays, so a policy that hesitates does not let go. An empty hand makes shorter
-steps near its object, so that it does not knock it away. The same functions move
-thousands of hands on a GPU, in :mod:`lemma.warp`, and one on the CPU, in
-:class:`Hand`.
+An action row has five numbers in [-1, 1] for each robot: forward, left, up, turn,
+fingers. *Forward* is horizontally away from the axis of the robot's base, *left* is to
+the left of that. *Fingers* changes the commanded opening, which otherwise stays, so
+that a zero action does not release an object. An empty hand makes shorter steps near
+its object, so that it does not push it away. These functions move thousands of hands on
+a GPU, in :mod:`lemma.warp`, and one on the CPU, in :class:`Hand`.
 
 Targets are (x, y, z, yaw) of tool centre points in the world, (..., robots, 4); bases
 (x, y, yaw), (..., robots, 3) [m, rad].
@@ -36,14 +35,15 @@ from lemma.robots.ur.kinematics import forward
 COLUMNS = ("forward", "left", "up", "turn", "fingers")
 CONTROL_HZ = 10.0
 STEP_M, TURN_RAD, GRIP_M = 0.03, 0.25, 0.025
-"""Longest step along each axis, about the vertical, and of the opening [m, rad]."""
+"""Largest step along each axis [m], about the vertical [rad], and of the opening
+[m]."""
 SLOW_M, SLOWEST = 0.1, 0.3
-"""Within so much of where its object is grasped [m] an empty hand makes shorter steps,
-down to this share: a fast one knocks things away."""
+"""Distance from the grasp pose of its object [m] within which an empty hand makes
+shorter steps, and the smallest length as a share."""
 LOWEST_M, HIGHEST_M = 0.016, 0.5
-"""Least and largest height of a target: fingertips stay above the table."""
+"""Range of a target's height [m], with the fingertips above the table."""
 UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
-"""Divisors of the numbers of a goal state."""
+"""Divisors that scale the numbers of a goal state to about 1."""
 _NEAR_M = 0.05
 _NEAR = (NUMBERS.index("object_forward"), NUMBERS.index("place_forward"))
 FEATURE_NAMES = (
@@ -51,31 +51,32 @@ FEATURE_NAMES = (
     *(f"{part}_{way}_nearby" for part in ("object", "place") for way in COLUMNS[:3]),
     *(f"lead_{column}" for column in COLUMNS),
 )
-"""Names of the numbers that a policy gets for one robot; see :func:`features`."""
+"""Names of the features of one robot; see :func:`features`."""
 FEATURES = len(FEATURE_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
 class Arms:
-    """Numbers of the arms of a team, one row for each robot."""
+    """Parameters of the arms of a team, one row for each robot."""
 
     dh: Tensor
-    """(robots, 6) [m]."""
+    """Denavit-Hartenberg lengths, (robots, 6) [m]."""
     radii: Tensor
-    """Nearest and farthest from the base that a hand is sent, (robots, 2) [m]."""
+    """Smallest and largest radius of a target around the base, (robots, 2) [m]."""
     park: Tensor
-    """Where arms wait, (robots, 6) [rad]."""
+    """Joint angles of the parking pose, (robots, 6) [rad]."""
     branch: Tensor
-    """Signs of shoulder, wrist and elbow in which they wait, (robots, 3)."""
+    """Signs of shoulder, wrist and elbow of the parking pose's branch of the inverse
+    kinematics, (robots, 3)."""
 
     @property
     def parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """All of it, in the order of the arguments."""
+        """All fields, in the order of the arguments."""
         return self.dh, self.radii, self.park, self.branch
 
     @classmethod
     def of(cls, names: Sequence[str], device: Any = "cpu") -> "Arms":
-        """Return the numbers of arms by name."""
+        """Return the parameters of arms by name."""
         dh = torch.tensor(np.array([ARMS[name].dh for name in names]))
         park = torch.tensor([park_joints(name) for name in names])
         reach = [reach_of(name) for name in names]
@@ -95,15 +96,16 @@ class Arms:
 
 
 def joints(target: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
-    """Return the joint angles of hands that point down, (..., robots, 6) [rad].
+    """Return the inverse kinematics of hands that point down, (..., robots, 6) [rad].
 
-    Out of reach an arm is stretched towards its target.
+    For a target out of reach the arm is stretched towards it.
 
     Args:
         target: See the module.
         base: See the module.
         arms: The robots' arms.
-        near: Joint angles; whole turns are added to come near them.
+        near: Joint angles, (..., robots, 6) [rad]; full turns are added to the result
+            to come near them.
     """
     d1, a2, a3, d4, d5, d6 = arms.dh.unbind(-1)
     shoulder, wrist, elbow = arms.branch.unbind(-1)
@@ -121,12 +123,12 @@ def joints(target: Tensor, base: Tensor, arms: Arms, near: Tensor) -> Tensor:
     q2 = torch.atan2(-y, -x) - torch.atan2(a3 * torch.sin(q3), a2 + a3 * torch.cos(q3))
     found = torch.stack([q1, q2, q3, q5 - q2 - q3, q5, q6], -1)
     turned = found - math.tau * torch.round((found - near) / math.tau)
-    # No joint turns farther than one whole turn; the elbow, half.
+    # Joint limits are one full turn; half a turn for the elbow.
     return torch.where(turned.abs() > math.tau, found, turned)
 
 
 def pace(goal_state: Tensor) -> Tensor:
-    """Return how long steps are near the goal's object, as shares, (..., robots, 1).
+    """Return the length of steps near the goal's object, as a share, (..., robots, 1).
 
     Args:
         goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
@@ -143,12 +145,12 @@ def advance(
     """Return the next targets.
 
     Args:
-        target: The last ones.
+        target: The last targets; see the module.
         rows: Actions, (..., robots, 5).
-        here: Where the hands are, like targets.
-        base: Of the robots.
-        arms: Their arms.
-        slow: How long their steps are; see :func:`pace`.
+        here: Poses of the hands, like targets.
+        base: Poses of the bases; see the module.
+        arms: The robots' arms.
+        slow: Length of the steps, (..., robots, 1); see :func:`pace`.
     """
     rows = slow * rows.clamp(-1.0, 1.0)
     away = here[..., :2] - base[..., :2]
@@ -176,11 +178,11 @@ def wrapped(angle: Tensor) -> Tensor:
 
 
 def openings(rows: Tensor, asked: Tensor) -> Tensor:
-    """Return the openings that are asked of grippers next, (..., robots) [m].
+    """Return the next commanded openings of grippers, (..., robots) [m].
 
     Args:
         rows: Actions, (..., robots, 5).
-        asked: The last ones.
+        asked: The last commanded openings, (..., robots) [m].
     """
     wanted = asked + GRIP_M * rows[..., 4].clamp(-1.0, 1.0)
     return wanted.clamp(0.0, FINGER_OPENING_M)
@@ -189,17 +191,18 @@ def openings(rows: Tensor, asked: Tensor) -> Tensor:
 def features(
     goal_state: Tensor, target: Tensor, here: Tensor, base: Tensor, asked: Tensor
 ) -> Tensor:
-    """Return what a policy is given of each hand, (..., robots, FEATURES).
+    """Return the features of each hand, (..., robots, FEATURES).
 
-    The goal state in units of about 1, its two ways once more, magnified nearby, and
-    how far what is asked for is ahead of the hand and its fingers, in steps.
+    They are the goal state scaled to about 1; its vectors to the object and to the
+    place once more, with a larger scale at short distances; and the differences between
+    the commands and the state of the hand and its fingers, in steps.
 
     Args:
         goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
-        target: Of the hands.
-        here: Where they are.
-        base: Of the robots.
-        asked: Openings that were asked of their grippers last, (..., robots) [m].
+        target: Targets of the hands; see the module.
+        here: Poses of the hands, like targets.
+        base: Poses of the bases; see the module.
+        asked: The last commanded openings, (..., robots) [m].
     """
     near = [torch.tanh(goal_state[..., at : at + 3] / _NEAR_M) for at in _NEAR]
     away = here[..., :2] - base[..., :2]
@@ -223,7 +226,7 @@ def features(
 def able(goal_state: Tensor, arms: Arms) -> Tensor:
     """Return the number of the robot that reaches the goal's object, (...).
 
-    Where several do, it is the one that has to stretch least.
+    Among several, it is the one with the smallest distance relative to its reach.
 
     Args:
         goal_state: (..., robots, 13); see :mod:`lemma.env.signals.goal_state`.
@@ -237,7 +240,13 @@ def able(goal_state: Tensor, arms: Arms) -> Tensor:
 def network(
     hidden: int = 128, out: int = len(COLUMNS), numbers: int = FEATURES
 ) -> torch.nn.Sequential:
-    """Return a small network from the features of one hand to its row."""
+    """Return a small network from the features of one hand to its action row.
+
+    Args:
+        hidden: Width of the hidden layers.
+        out: Number of outputs.
+        numbers: Number of inputs.
+    """
     return torch.nn.Sequential(
         torch.nn.Linear(numbers, hidden), torch.nn.ELU(),
         torch.nn.Linear(hidden, hidden), torch.nn.ELU(),
@@ -246,14 +255,14 @@ def network(
 
 
 class Hand:
-    """One hand of an episode on the CPU; the other robots stand still."""
+    """One hand of an episode on the CPU; the other robots do not move."""
 
     def __init__(self, seen: Mapping[str, Any], asked_m: float | None = None) -> None:
-        """Begin: it is the hand of the robot that reaches the goal's object.
+        """Choose the robot that reaches the goal's object.
 
         Args:
             seen: An observation ``"goal_state"`` of the control level.
-            asked_m: Opening that was asked of its fingers, where they are else [m].
+            asked_m: Commanded opening of its fingers; the present opening if None [m].
         """
         parts = np.asarray(seen["agent_pos"], np.float32).reshape(-1, 7)
         heights = hands_of(seen["tcp_pose"])[:, 2]
@@ -268,7 +277,7 @@ class Hand:
         self._target = hands_of(seen["tcp_pose"])[self._one]
 
     def look(self, seen: Mapping[str, Any]) -> Tensor:
-        """Take an observation; return the features of this hand, (1, FEATURES)."""
+        """Store an observation; return the features of this hand, (1, FEATURES)."""
         self._here = hands_of(seen["tcp_pose"])[self._one]
         self._base = hands_of(seen["base_pose"])[self._one][:, [0, 1, 3]]
         goal = torch.tensor(seen["goal_state"]).reshape(len(self._rows), -1)
@@ -278,7 +287,11 @@ class Hand:
         return features(goal, self._target, self._here, self._base, self._asked)
 
     def command(self, row: Tensor) -> NDArray[np.float32]:
-        """Return joint positions and openings of all robots after a row, (1, 5)."""
+        """Return joint positions [rad] and openings [m] of all robots, (robots, 7).
+
+        Args:
+            row: Action of the hand, (1, 5).
+        """
         arms, base = self._arms, self._base
         target = advance(self._target, row, self._here, base, arms, self._slow)
         near = torch.from_numpy(self._rows[self._one, :6])
@@ -290,10 +303,10 @@ class Hand:
 
 
 class HandPolicy:
-    """Plays a learned network on the CPU; one robot acts, the others stand still.
+    """Executes a learned network on the CPU; one robot acts, the others do not move.
 
-    It is told the truth by the goal state, so it is no fair comparison, and it does not
-    read the sentence.
+    It gets privileged state, the goal state, and does not read the instruction, so its
+    results are not comparable with those of other policies.
     """
 
     control_options = {  # noqa: RUF012 - read, never changed
@@ -321,9 +334,9 @@ class HandPolicy:
 
     def _act(self, control_input: ControlInput) -> Actions:
         seen, memory = control_input.observation, control_input.memory
-        # A memory is never changed: an episode may be played on from it twice.
+        # Copy the memory: an episode may continue from it more than once.
         hand = Hand(seen) if memory is None else copy(memory)
-        # Older networks know nothing of the last numbers.
+        # Older networks have fewer inputs, without the last features.
         row = self.actor(hand.look(seen)[:, : self._numbers])
         return Actions(hand.command(row), hand)
 
@@ -338,7 +351,7 @@ def hands_of(poses: Any) -> Tensor:
 
 
 def arm_of(q: Any, height_m: Any) -> str:
-    """Return the arm whose hand is so high at joint angles (6,) [rad]."""
+    """Return the arm whose hand has a height [m] at joint angles (6,) [rad]."""
 
     def error(name: str) -> float:
         pose = forward(ARMS[name].dh, np.asarray(q, float))

@@ -1,9 +1,9 @@
-"""A team of hands that take turns: a learned hand that places does it for all of them.
+"""A team of hands that act in turns with one network that has learned to place.
 
 The network of :class:`~lemma.policies.control.hand_steps.HandPolicy` moves one object
-to a place that the same robot reaches. Rules chain it to hand-overs, towers and relays:
-which robot acts next, where it puts an object that another one has to fetch, when its
-fingers open, and how it goes home. Like that policy, it is given the true goal state.
+to a place within the same robot's reach. Rules combine such motions to hand-overs,
+towers and relays. They choose the next robot and the place of a hand-over, open the
+fingers, and park the arm. Like that policy, it gets privileged state, the goal state.
 """
 
 import math
@@ -37,38 +37,41 @@ _OBJECT, _PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward"
 _HOLDS = NUMBERS.index("holds")
 _OPEN, _RISE = ((0.0, 0.0, 0.0, 0.0, 1.0),), ((0.0, 0.0, 1.0, 0.0, 1.0),)
 _OPEN_STEPS, _RISE_STEPS, _PARK_STEPS, _ACT_STEPS = 3, 20, 60, 250
-"""Longest times of the phases [control steps]."""
+"""Longest durations of the phases [control steps]."""
 _RISEN_M = 0.25
-"""Height of a hand from which it goes home [m]."""
+"""Height of a hand from which it moves to the parking pose [m]."""
 _PARK_RAD, _PARKED_RAD = 0.12, 0.1
-"""Change of a joint in a step on the way home; largest angle left at its end."""
+"""Largest step of a joint while parking, and tolerance of the parking pose [rad]."""
 _CARRY_M, _CARRY_BESIDE_M, _CARRY_SLOPE = 0.12, 0.04, 2.0
-"""Least height of a hand that carries, but near the place: it passes over objects."""
+"""Smallest height of a carrying hand [m], which passes over objects; distance from the
+place within which it may be lower [m], and slope of the height from there."""
 _LEVEL_M, _ON_M, _AT_M, _HOVER_STEPS = 0.012, 0.01, 0.02, 3
-"""Fingers open when the object has been so near its height and its place, or a spot of
-the table, for so many steps."""
+"""Tolerances of height, of a place on an object, and of a spot on the table [m], and
+the number of control steps within them after which the fingers open."""
 _DROPPED_M = 0.03
-"""The network itself let go of it, so near the place."""
+"""Largest distance from the place at which a release by the network counts [m]."""
 _PAD_M = kind_of("red_pad").top_m
-"""Height of a pad, on which hands learned to place."""
+"""Height of a pad [m], on which objects were placed in training."""
 _SPOT_M, _LOWER_STEPS = 0.004, 6
-"""Height above its rest from which an object is let go on a bare table."""
+"""Height of a release above the object's rest on a bare table [m], and the largest
+number of control steps to lower it."""
 _OTHER_M = 0.1
-"""Nothing moves so far in a step: another conjunct of the goal is the next one."""
+"""A larger change of the object's position in a step [m] means another conjunct."""
 _CELL_M, _HALF_M = 0.02, 1.6
-"""Cells of the grid of spots, and half the side of the square that it covers."""
+"""Side of a cell of the grid of spots, and half the side of its square [m]."""
 _MARGIN_M, _NEAR_WEIGHT = 0.06, 0.02
-"""A spot is best so far inside of both reaches; then, on the shortest way."""
+"""Margin inside of both reaches above which spots score equally [m], and weight of the
+distance to object and place."""
 
 _Phase = Literal["choose", "act", "lower", "open", "rise", "park"]
 Network = Callable[[Tensor], Tensor]
 
 
 class HandTeam:
-    """The hands of an episode: one acts, the others stand still where they wait."""
+    """The hands of an episode: one acts, the others stay at their parking poses."""
 
     def __init__(self, seen: Mapping[str, Any]) -> None:
-        """Begin; nobody acts yet.
+        """Begin the episode.
 
         Args:
             seen: An observation ``"goal_state"`` of the control level.
@@ -81,9 +84,9 @@ class HandTeam:
         self._phase: _Phase = "choose"
         self._steps = self._hovered = 0
         self.robot = 0
-        """Number of the robot that acts."""
+        """Number of the acting robot."""
         self.spot: Tensor | None = None
-        """Where it puts the object for another robot to fetch, (2,) [m]; or None."""
+        """World x, y of a hand-over to another robot, (2,) [m]; None without one."""
         self._rest_m = 0.0
         self._held = False
         self._object: Tensor | None = None
@@ -126,7 +129,7 @@ class HandTeam:
         return self._moved(row, slow, goal)
 
     def _look(self, seen: Mapping[str, Any]) -> None:
-        """Take an observation; see whether the goal's object is another one now."""
+        """Store an observation; open the fingers if the goal's object has changed."""
         self._here = hands_of(seen["tcp_pose"])
         self._base = hands_of(seen["base_pose"])[:, [0, 1, 3]]
         self._goal = torch.tensor(seen["goal_state"]).reshape(len(self._rows), -1)
@@ -144,7 +147,7 @@ class HandTeam:
             self._enter("open")
 
     def _world(self, way: Tensor) -> Tensor:
-        """Return a way, forward and left of the first hand, in the world, (2,)."""
+        """Return a vector in the first hand's frame in the world frame, (2,)."""
         x, y = self._ahead[0]
         return torch.stack([x * way[0] - y * way[1], y * way[0] + x * way[1]])
 
@@ -152,7 +155,7 @@ class HandTeam:
         self._phase, self._steps, self._hovered = phase, 0, 0
 
     def _choose(self) -> None:
-        """Choose the robot that acts next, and a spot if another one has to go on."""
+        """Choose the next robot, and a spot if another one must continue."""
         assert self._object is not None
         has, puts = self.margins(self._object), self.margins(self._place)
         direct = torch.minimum(has, puts)
@@ -172,7 +175,7 @@ class HandTeam:
         self._enter("act")
 
     def margins(self, points: Tensor) -> Tensor:
-        """Return how far inside of each robot's reach points are, (robots, ...) [m]."""
+        """Return margins of points inside each robot's reach, (robots, ...) [m]."""
         extra = (1,) * (points.dim() - 1)
         base = self._base[:, :2].view(-1, *extra, 2)
         far = torch.linalg.vector_norm(points - base, dim=-1)
@@ -180,9 +183,9 @@ class HandTeam:
         return torch.minimum(far - inner, outer - far)
 
     def _spot_towards(self, last: int) -> Tensor:
-        """Return where the acting robot puts the object, (2,) [m].
+        """Return the spot where the acting robot places the object, (2,) [m].
 
-        The next robot on the shortest chain to the last one reaches that spot, too.
+        The next robot in the shortest chain to the last one reaches the spot, too.
         """
         assert self._object is not None
         line = torch.arange(-_HALF_M, _HALF_M, _CELL_M)
@@ -206,13 +209,13 @@ class HandTeam:
         return grid[int(score.argmax())]
 
     def _height_m(self, goal: Tensor) -> float:
-        """Return how high the object would be grasped now [m]."""
+        """Return the present height of the object's grasp [m]."""
         return float(self._here[self.robot, 2] + goal[0, _OBJECT + 2])
 
     def _as_learned(self, goal: Tensor) -> None:
         """Set the place of the acting robot's goal state, (1, 13), as in training.
 
-        An empty hand has a pad as its place; over a spot there would be a pad.
+        For an empty hand the place is a pad, and a spot counts as the top of a pad.
         """
         holds = goal[0, _HOLDS] > 0.5
         if self.spot is not None:
@@ -225,11 +228,11 @@ class HandTeam:
             goal[0, _PLACE + 2] = _PAD_M
 
     def _judge(self, goal: Tensor) -> None:
-        """Let go of an object that is where it shall be; give up after a while."""
+        """Open the fingers if the object is at its place, or after a time limit."""
         holds = bool(goal[0, _HOLDS] > 0.5)
         beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
         above = -float(goal[0, _PLACE + 2])
-        # No pad is at the spot, so a hand may press farther down there.
+        # A spot has no pad, so the hand may be lower there.
         level = above < _LEVEL_M and (self.spot is not None or above > -_LEVEL_M)
         near = beside < (_ON_M if self.spot is None else _AT_M) and level
         self._hovered = self._hovered + 1 if holds and near else 0
@@ -241,7 +244,7 @@ class HandTeam:
             self._enter("open")
 
     def _go_home(self) -> NDArray[np.float32]:
-        """Return rows that bring the acting robot nearer to where it waits."""
+        """Return rows with a step of the acting robot towards its parking pose."""
         k, self._rows = self.robot, self._rows.copy()
         park, now = self._arms.park[k], torch.from_numpy(self._rows[k, :6])
         step = (park - now).clamp(-_PARK_RAD, _PARK_RAD)
@@ -252,7 +255,7 @@ class HandTeam:
         return self._rows
 
     def _moved(self, row: Tensor, slow: Tensor, goal: Tensor) -> NDArray[np.float32]:
-        """Return rows in which the acting robot does one step."""
+        """Return rows with one step of the acting robot."""
         k = [self.robot]
         one = Arms(*(part[k] for part in self._arms.parts))
         base = self._base[k]
@@ -271,11 +274,11 @@ class HandTeam:
 
 
 class HandTeamPolicy(HandPolicy):
-    """Plays a hand that learned to place, for all robots in turns, on the CPU.
+    """Executes a network that has learned to place, for all robots in turns.
 
-    ``weights`` as of :class:`~lemma.policies.control.hand_steps.HandPolicy`. It plays
-    every task whose goal is to put cubes on things, without the stick, on teams of any
-    size. It does not read the sentence.
+    ``weights`` are those of :class:`~lemma.policies.control.hand_steps.HandPolicy`. It
+    supports tasks whose goal is cubes on other objects, without the stick, for teams of
+    any size. It does not read the instruction.
     """
 
     @torch.no_grad()
@@ -285,7 +288,7 @@ class HandTeamPolicy(HandPolicy):
 
     def _step(self, control_input: ControlInput) -> Actions:
         seen, memory = control_input.observation, control_input.memory
-        # A memory is never changed: an episode may be played on from it twice.
+        # Copy the memory: an episode may continue from it more than once.
         team = HandTeam(seen) if memory is None else copy(memory)
         numbers = self._numbers
         return Actions(team.step(seen, lambda x: self.actor(x[:, :numbers])), team)

@@ -1,8 +1,8 @@
 """The interface of policies at control level: camera images in, motor commands out.
 
-The input is the observation of :class:`ControlEnv`, with the options that the policy
-asks for, and the cameras' calibration. The answer is one action or a chunk of them, and
-anything that the policy wants to remember of the episode.
+The input is the observation of :class:`ControlEnv`, with the options of the policy, and
+the cameras' calibration. The output is an action or a chunk of actions, and any memory
+that the policy needs later in the episode.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,29 +24,29 @@ MODEL_SERVER = "vla-eval"
 
 
 IS_CONTROL = (
-    "decides by motor commands: it has control_options. Say --level control, or "
+    "returns motor commands: it has control_options. Add --level control, or "
     'level="control" in Python.'
 )
 """Error message for such a policy at another level."""
 
 
 def has_options(policy: object) -> bool:
-    """Whether a policy says in which environment it acts; see ControlPolicy."""
+    """Return whether a policy has ``control_options``; see :class:`ControlPolicy`."""
     return bool(getattr(policy, "control_options", None))
 
 
 def is_model_server(name: str) -> bool:
-    """Whether a policy's name is the address of a model server of vla-eval."""
+    """Return whether a policy's name is the address of a vla-eval model server."""
     return name.lower().startswith(f"{MODEL_SERVER}://")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ControlInput:
-    """All that a policy may know of an episode when it is asked for actions."""
+    """All inputs of a policy's decision at control level."""
 
     instruction: str
     robots: tuple[str, ...]
-    """How people name the robots, in the order of an action's rows."""
+    """Names of the robots in instructions, in the order of an action's rows."""
     observation: Mapping[str, Any]
     """Observation of :class:`~lemma.env.control_env.ControlEnv` with the policy's
     options: ``agent_pos`` and more, ``pixels`` and ``depth`` by camera. Copies."""
@@ -55,29 +55,29 @@ class ControlInput:
     step: int = 0
     """Control steps since the episode began."""
     time_s: float = 0.0
-    """Simulated time since then [s]."""
+    """Simulated time since the episode began [s]."""
     memory: Any = None
     """The policy's last memory of this episode; None at the beginning."""
 
 
 @dataclass(frozen=True, eq=False)
 class Actions:
-    """Answer of a policy for one episode."""
+    """Output of a policy for one episode."""
 
     rows: ArrayLike
-    """One action, (robots, numbers), or a chunk of them, (steps, robots, numbers), all
-    of which are carried out before the policy is asked again."""
+    """One action, (robots, numbers), or a chunk, (steps, robots, numbers), which is
+    executed completely before the next call."""
     memory: Any = None
-    """Comes back as ``memory`` of the next input of the same episode."""
+    """Passed back as ``memory`` of the next input of the same episode."""
 
 
 @runtime_checkable
 class ControlPolicy(Protocol):
     """Decides on motor commands.
 
-    An attribute ``control_options``, a dictionary, says in which environment it acts,
-    see :data:`CONTROL_OPTIONS`. Without it: joint positions at 20 Hz, RGB of the
-    cameras that environments of this level observe.
+    The attribute ``control_options``, a dictionary, sets the options of its
+    environment, see :data:`CONTROL_OPTIONS`. The default is joint positions at 20 Hz,
+    and RGB images of the cameras that environments of this level observe.
     """
 
     def act(
@@ -92,14 +92,14 @@ class ControlPolicy(Protocol):
 
 
 def chunk_of(rows: ArrayLike, shape: tuple[int, int]) -> list[Any]:
-    """Return the actions of an answer, oldest first.
+    """Return the actions of a policy's output, oldest first.
 
     Args:
-        rows: One action of a shape, or several.
+        rows: One action of the shape, or a chunk.
         shape: (robots, numbers).
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The shape is neither.
     """
     values = np.asarray(rows)
     if values.shape == shape:

@@ -1,7 +1,7 @@
-"""Policies of LeRobot as policies at control level: ``--policy lerobot:CHECKPOINT``.
+"""LeRobot policies as policies at control level: ``--policy lerobot:CHECKPOINT``.
 
-Those that are told the truth are oracles: ``--policy lerobot-privileged:CHECKPOINT``.
-It needs the lerobot package, which ``lemma-bench[lerobot]`` brings.
+Policies with privileged state are oracles: ``--policy lerobot-privileged:CHECKPOINT``.
+The module needs the lerobot package, which ``lemma-bench[lerobot]`` installs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,18 +36,18 @@ _CONTROLS: Mapping[tuple[int, ...], str] = {
 TRUTH = truth_names(TEAM)
 """Names of the numbers of the true state."""
 _SHARED = ("_parameters", "_buffers", "_modules")
-"""Attributes that all episodes share: those of the network."""
+"""Attributes of the network, which all episodes share."""
 _DRAWS_ONCE = ("diffusion", "DDIM")
-"""Type and scheduler of a policy in which nothing is random but its first noise."""
+"""Type and scheduler of a policy whose only random numbers are the initial noise."""
 
 
 class LeRobotPolicy:
     """A checkpoint that lerobot saved, trained on ``lemma render --form lerobot``.
 
-    It sees what it was trained with: cameras and their size are read off its
-    configuration. Chunks of actions are carried out as long as in ``lerobot-eval``, and
-    it is not asked, nor is anything drawn, until they end; policies with a history of
-    several observations are asked at every step.
+    Its cameras and their size come from its configuration. Chunks of actions have the
+    same length as in ``lerobot-eval``; the policy is not called, and no images are
+    rendered, until a chunk ends. Policies with a history of several observations are
+    called at every step.
     """
 
     def __init__(self, checkpoint: str, hz: float = 10.0, device: str = "cpu") -> None:
@@ -55,12 +55,12 @@ class LeRobotPolicy:
 
         Args:
             checkpoint: A folder, ``.../checkpoints/last/pretrained_model``, a name on
-                the Hub, or of weights that this package publishes.
+                the Hub, or the name of published weights of this package.
             hz: Actions per second: the frames per second of its training data.
-            device: Where it is computed: ``"cuda"``.
+            device: Device of the policy, such as ``"cuda"``.
 
         Raises:
-            InvalidConfigError: It observes or commands what there is not here.
+            InvalidConfigError: Its inputs or outputs are not available here.
             OSError: There is no such checkpoint.
             WeightsError: Published weights are missing or damaged.
         """
@@ -83,10 +83,10 @@ class LeRobotPolicy:
             )
         self._control = self.control_options["control"]
         ensembles = getattr(config, "temporal_ensemble_coeff", None) is not None
-        # lerobot makes a history even of one observation.
+        # lerobot has queues even for a single observation.
         self._queues = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
         self._looks_on = config.n_obs_steps > 1 or ensembles
-        # Others draw between the steps of denoising, for all of a batch at once.
+        # Others draw noise for the whole batch between the steps of denoising.
         kind = (config.type, getattr(config, "noise_scheduler_type", None))
         self._one_by_one = self._looks_on or (self._queues and kind != _DRAWS_ONCE)
 
@@ -94,8 +94,8 @@ class LeRobotPolicy:
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
         """Return the next action or chunk of actions for each episode.
 
-        Random numbers of a policy, such as Diffusion Policy, depend on the step alone,
-        not on other episodes: the same batch has the same answer.
+        Random numbers of a policy, such as Diffusion Policy, depend only on the step,
+        not on other episodes of the batch.
         """
         if self._one_by_one:
             return [self._alone(control_input) for control_input in inputs]
@@ -119,14 +119,14 @@ class LeRobotPolicy:
         return Actions(self._rows(action)[0], policy)
 
     def _chunks(self, batch: dict[str, Any], **more: Any) -> torch.Tensor:
-        """Return chunks of a policy that has queues, though it looks but once."""
+        """Return chunks of a policy that has queues for one observation."""
         self._policy.reset()
         count = self._config.n_action_steps
         rows = [self._policy.select_action(batch, **more) for _ in range(count)]
         return torch.stack(rows, 1)
 
     def _noise(self, inputs: Sequence[ControlInput]) -> torch.Tensor:
-        """Return what denoising begins with: for each episode as if it were alone."""
+        """Return the initial noise, for each episode as in a batch of one."""
         shape = (1, self._config.horizon, self._config.action_feature.shape[0])
         rows = []
         for control_input in inputs:
@@ -136,14 +136,14 @@ class LeRobotPolicy:
 
     @contextmanager
     def _drawing(self, seed: int) -> Iterator[None]:
-        """Draw random numbers by a seed, without an effect on other draws."""
+        """Seed torch's random numbers, and restore their state afterwards."""
         device = torch.device(self._config.device)
         with torch.random.fork_rng([] if device.type == "cpu" else [device]):
             torch.manual_seed(seed)
             yield
 
     def _fresh(self) -> Any:
-        """Return the policy with queues of its own, for a new episode."""
+        """Return a copy of the policy with its own queues, for a new episode."""
         found = copy(self._policy)
         own = {name: it for name, it in vars(found).items() if name not in _SHARED}
         vars(found).update(deepcopy(own))
@@ -177,9 +177,9 @@ class LeRobotPolicy:
 
 
 class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
-    """A checkpoint that was trained on the truth: poses and goal, and no pictures.
+    """A checkpoint that was trained on privileged state, poses and goal, not images.
 
-    It shows what a policy can do without errors of perception and language.
+    It measures a policy without errors of perception and language.
     """
 
     def _environment_state(self, control_input: ControlInput) -> NDArray[np.float32]:
@@ -189,15 +189,15 @@ class PrivilegedLeRobotPolicy(LeRobotPolicy, Oracle):
 def control_options(
     config: Any, hz: float, *, privileged: bool = False
 ) -> dict[str, Any]:
-    """Return the environment that a policy was made for.
+    """Return the options of the environment of a policy.
 
     Args:
-        config: Configuration of a policy of lerobot.
+        config: Configuration of a lerobot policy.
         hz: Actions per second.
-        privileged: Whether the state of its environment is the truth.
+        privileged: Whether its environment state is the privileged state.
 
     Raises:
-        InvalidConfigError: It observes or commands what there is not here.
+        InvalidConfigError: Its inputs or outputs are not available here.
     """
     features = {**config.input_features, **config.output_features}
     shapes = {name: tuple(feature.shape) for name, feature in features.items()}
@@ -213,25 +213,25 @@ def control_options(
     if row not in _CONTROLS or shapes not in allowed:
         counts = " or ".join(str(count) for (count,) in _CONTROLS)
         raise InvalidConfigError(
-            f"The policy has {shapes} beside its images. Valid: {OBS_STATE} and "
+            f"The policy has {shapes} besides its images. Valid: {OBS_STATE} and "
             f"{ACTION} of {counts} numbers, as lemma render --form lerobot writes "
             f"them, and {OBS_ENV_STATE} of {SENTENCE_NUMBERS}, with "
             f"--environment-state sentence, or of {len(TRUTH)}, with "
-            "--environment-state privileged, which "
-            f"{LEROBOT_PRIVILEGED}CHECKPOINT is told."
+            "--environment-state privileged, for "
+            f"{LEROBOT_PRIVILEGED}CHECKPOINT."
         )
     options = {"control": _CONTROLS[row], "control_hz": hz, "clip_actions": True}
     if privileged:
         if images:
             raise InvalidConfigError(
-                f"The policy sees {', '.join(images)}: it is no one that is told the "
-                f"truth instead. Name it {LEROBOT}CHECKPOINT."
+                f"The policy has the images {', '.join(images)} as input, so it is not "
+                f"privileged. Name it {LEROBOT}CHECKPOINT."
             )
         return {**options, "observation": "privileged"}
     valid = camera_names(TEAM)
     if not images or set(images) - set(valid) or len(set(images.values())) > 1:
         raise InvalidConfigError(
-            f"The policy sees {images}. Valid: one or more of "
+            f"The policy's images are {images}. Valid: one or more of "
             f"{', '.join(f'{OBS_IMAGES}.{name}' for name in valid)}, all of one size."
         )
     _, height, width = next(iter(images.values()))

@@ -1,4 +1,4 @@
-"""Motions from one key pose to the next, as policies at control level make them."""
+"""Motions of policies at control level from one key pose to the next."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,26 +26,26 @@ KEY_POSE_OPTIONS: Mapping[str, object] = {
     "control_hz": CONTROL_HZ,
     "clip_actions": True,
 }
-"""Options of the environment of policies that move so, beside an observation."""
+"""Options of the environment of such policies, except the observation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """An episode in which arms move from one key pose to the next."""
+    """State of an episode in which arms move from one key pose to the next."""
 
     progress: Progress
     rows: Rows | None
-    """The next waypoints; None where there is no key pose to go to any more."""
+    """The next waypoints; None if there is no further key pose."""
     bases: list[FloatArray]
     """World from base of each robot, (4, 4)."""
     hands: list[FloatArray]
-    """World from tool centre point of each, (4, 4)."""
+    """World from tool center point of each robot, (4, 4)."""
     openings: FloatArray
-    """Of the grippers [m], (robots,)."""
+    """Openings of the grippers [m], (robots,)."""
 
     @classmethod
     def of(cls, control_input: ControlInput, progress: Progress | None) -> "Moving":
-        """Go on with a motion.
+        """Continue a motion.
 
         Args:
             control_input: Input of a policy.
@@ -60,17 +60,17 @@ class Moving:
         return cls(progress, rows, bases, hands, openings)
 
     def towards(self, key: KeyPose) -> "Moving":
-        """Set out for a key pose."""
+        """Begin the motion to a key pose."""
         progress = set_out(self.progress, key, self.hands[max(0, key.robot)])
         progress, rows = go_on(progress, self.bases, self.hands)
         return replace(self, progress=progress, rows=rows)
 
     def holds(self, robot: int) -> bool:
-        """Whether a hand that was closed has something in it."""
+        """Return whether a closed hand holds an object."""
         return bool(self.openings[robot] > FULL_M)
 
     def actions(self, memory: Any) -> Actions:
-        """Return the answer of a policy: the next waypoints, or to stay for a while.
+        """Return the output of a policy: the next waypoints, or a pause.
 
         Args:
             memory: Memory of the policy.

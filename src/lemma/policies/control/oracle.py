@@ -1,6 +1,6 @@
 """The expert as policies at control level: its motion, and its key poses.
 
-They show that the level can be solved by actions of these kinds.
+They show that actions of these kinds can solve the tasks.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,14 +19,14 @@ from lemma.policies.interfaces import Oracle
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OracleControlInput(ControlInput):
-    """Input of an oracle, with the truth."""
+    """Input of an oracle, with the simulation."""
 
     env: ControlEnv = field(repr=False)
-    """The environment itself, with its simulation."""
+    """The environment with its simulation."""
 
 
 class ExpertControl(Oracle):
-    """Answers the motion of the expert's next sub-task as one chunk."""
+    """Returns the motion of the expert's next sub-task as one chunk."""
 
     control_options: ClassVar[Mapping[str, object]] = {
         "control": MODE,
@@ -38,7 +38,7 @@ class ExpertControl(Oracle):
         """Return a chunk of actions for each episode.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no :class:`OracleControlInput`.
         """
         return [self._act(control_input) for control_input in inputs]
 
@@ -49,17 +49,17 @@ class ExpertControl(Oracle):
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """Memory of the expert between two key poses."""
+    """The expert's memory between two key poses."""
 
     progress: Progress
     ahead: tuple[KeyPose, ...] = ()
-    """Further key poses of its sub-task."""
+    """Further key poses of the sub-task."""
 
 
 class ExpertKeyPoses(Oracle):
-    """Goes to one key pose of the expert after the other.
+    """Moves through the expert's key poses.
 
-    It is the upper bound of policies that learn them: they move in the same way.
+    It is an upper bound for policies that learn key poses, with the same motions.
     """
 
     control_options: ClassVar[Mapping[str, object]] = {
@@ -71,7 +71,7 @@ class ExpertKeyPoses(Oracle):
         """Return the next waypoints of each episode.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no :class:`OracleControlInput`.
         """
         return [self._act(control_input) for control_input in inputs]
 
@@ -89,5 +89,5 @@ class ExpertKeyPoses(Oracle):
 
 def _oracle_input(control_input: ControlInput) -> OracleControlInput:
     if not isinstance(control_input, OracleControlInput):
-        raise InvalidConfigError("The expert is given no truth, but needs it.")
+        raise InvalidConfigError("The expert needs an OracleControlInput.")
     return control_input

@@ -1,4 +1,4 @@
-"""Motor commands that somebody gave by hand, given again."""
+"""Replay of motor commands that a person gave by teleoperation."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,24 +9,24 @@ from lemma.policies.control.interfaces import Actions, ControlInput
 
 
 class Recorded:
-    """Repeats the commands of a file, then the last one, without looking."""
+    """Replays the commands of a file in open loop, then repeats the last one."""
 
     def __init__(self, file: str) -> None:
-        """Read them.
+        """Read the commands.
 
         Args:
-            file: Path of an episode that was led by hand from its beginning on.
+            file: Path of an episode that was teleoperated from its beginning.
 
         Raises:
-            LemmaError: It cannot be read, or holds more than motor commands; see
+            LemmaError: The file cannot be read, or holds more than motor commands; see
                 :meth:`~lemma.dataset.teleoperation.Teleoperation.load`.
         """
         done = Teleoperation.load(Path(file))
         first = done.parts[0]
         if len(done.parts) > 1 or done.nudged or not isinstance(first, Commanded):
             raise InvalidConfigError(
-                f"{file} holds more than motor commands: a policy began, or a thing "
-                "was moved by hand. 'lemma replay' does all of it again."
+                f"{file} holds more than motor commands: a policy acted first, or the "
+                "user moved an object. 'lemma replay' replays all of it."
             )
         self._rows = first.rows
         self.control_options: Mapping[str, object] = {

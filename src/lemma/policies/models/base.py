@@ -22,70 +22,71 @@ from lemma.tasks.subtask import Primitive, SubTask
 
 
 class Model(nn.Module, ABC):
-    """A network with its losses and its scores.
+    """A network with its losses and scores.
 
-    A subclass has a frozen dataclass of its options, which is the one argument of its
-    constructor; it is written beside the weights, as JSON.
+    The only argument of a subclass's constructor is a frozen dataclass of options,
+    which is written into the file of weights as JSON.
     """
 
     unit: ClassVar[Literal["frame", "episode"]] = "frame"
-    """Training draws single frames at random, or whole episodes, whose frames then
-    follow one another in the batch."""
+    """Training draws single frames, or whole episodes, whose frames are consecutive in
+    the batch."""
     selection: ClassVar[str]
-    """Name of the score by which the best weights are chosen, in validation."""
+    """Name of the validation score that selects the best weights."""
     reads_outcomes: ClassVar[bool] = False
-    """Whether it looks at how its sub-tasks ended; otherwise another robot tries a
-    sub-task that one was refused (:class:`lemma.policies.compose.RetryingPlanner`)."""
+    """Whether the model reads outcomes; otherwise a refused sub-task goes to another
+    robot (:class:`lemma.policies.compose.RetryingPlanner`)."""
     of_fixed_shape: ClassVar[bool] = False
-    """Whether :meth:`loss` only computes with tensors whose shapes follow from the
-    number of frames: a GPU can then do a whole step at once
+    """Whether all tensor shapes in :meth:`loss` follow from the number of frames, so
+    that a GPU can run a step as one graph
     (:class:`lemma.policies.training.captured.CapturedStep`)."""
     former_names: ClassVar[Mapping[str, str]] = {}
-    """Patterns of names of weights in files of earlier releases, and what takes the
-    place of each."""
+    """Patterns of names of weights in files of earlier releases, and the replacement of
+    each."""
     former_options: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """Options of parts of the model that files of earlier releases do not name, and
-    their values there."""
+    """By part of the model, options that files of earlier releases lack, with the
+    values of these releases."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
 
     @property
     def entities(self) -> EntitySet:
-        """Entities with a number in its batches: all that are known, or its choice."""
+        """Entities of its batches: those in its options, or all registered ones."""
         return EntitySet.of(getattr(self.config, "entities", ()))
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
-        """Return what the loss needs of texts and names, as tensors.
+        """Return texts and names as tensors for the loss, by name.
 
-        It is made while the model works on the batch before, and kept in the batch.
+        The loader calls it in another thread and stores the result in the batch.
 
         Args:
-            batch: With labels.
+            batch: Batch with labels.
         """
         return {}
 
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the terms of the loss, weighted: training minimises their sum.
+        """Return the weighted terms of the loss; training minimises their sum.
 
         Args:
-            batch: With labels, with or without what :meth:`text_tensors` returned.
+            batch: Batch with labels, with or without ``text_tensors``.
         """
 
     @abstractmethod
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return how good decisions are, one value a frame, (B,); more is better.
+        """Return scores of the decisions by name, one value per frame, (B,).
 
-        NaN where a frame does not count, such as the pose of ``stop``.
+        Larger is better. A frame without the score has NaN, such as for the pose of
+        ``stop``.
 
         Args:
-            batch: With labels.
+            batch: Batch with labels.
         """
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapConfig:
-    """Options of models that see one map a frame."""
+    """Options of models whose input is one map per frame."""
 
     cell_m: Size = RASTER.cell_m
     """Side of a cell of the map [m]."""
@@ -93,27 +94,27 @@ class MapConfig:
     """Lowest height of the map [m]."""
 
     def raster(self, policy_input: PolicyInput) -> Raster:
-        """Return where the cells of a view are."""
+        """Return the raster of a view's map."""
         rows, columns = policy_input.view.height_m.shape
         return Raster(rows, columns, self.cell_m, self.floor_m)
 
 
 class MapModel(Model):
-    """A model that decides by one map a frame."""
+    """A model whose input is one map per frame."""
 
     at_once: ClassVar[int] = 32
-    """Frames that are decided at once."""
+    """Largest number of frames in a batch at inference."""
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """Device of the weights."""
         return next(self.parameters()).device
 
     @contextmanager
     def deciding(self) -> Iterator[None]:
-        """Switch training off for a while."""
+        """Evaluation mode without gradients within the context."""
         was = self.training
-        # Not without need: a model may forget what it has seen.
+        # Only after training mode: a switch may clear a model's cache.
         if was:
             self.eval()
         try:
@@ -126,7 +127,7 @@ class MapModel(Model):
     def batches(
         self, inputs: Sequence[PolicyInput], sub_instructions: Sequence[str] = ()
     ) -> Iterator[Batch]:
-        """Yield the inputs, and the sub-instructions to ground, in batches."""
+        """Yield inputs, with sub-instructions to ground if any, in batches."""
         for start in range(0, len(inputs), self.at_once):
             rows = slice(start, start + self.at_once)
             raster = self.config.raster(inputs[start])
@@ -135,7 +136,7 @@ class MapModel(Model):
 
 
 def subtask_of(numbers: Sequence[int], entities: EntitySet) -> SubTask:
-    """Return a sub-task of numbers: robot, primitive, pick, place."""
+    """Return the sub-task of four numbers: robot, primitive, pick, place."""
     robot, primitive, pick, place = numbers
     if primitive == STOP:
         return STOP_SUBTASK
@@ -166,4 +167,4 @@ def _check_model(name: str, record: tuple[type[Any], type[Any]]) -> None:
 MODELS: Registry[tuple[type[Any], type[Any]]] = Registry(
     "model", tuple[type[Model], type[Any]], on_add=_check_model
 )
-"""Models by the name that ``lemma train`` knows, each with its type of options."""
+"""Models by their names in ``lemma train``, each with its type of options."""

@@ -15,12 +15,12 @@ def make_model(name: str, options: dict[str, Any]) -> Model:
     """Return a model with new weights.
 
     Args:
-        name: As ``lemma train`` knows it.
+        name: Name of the model, as in ``lemma train``.
         options: Fields of its dataclass of options, as plain data.
 
     Raises:
         UnknownNameError: There is no such model or option.
-        InvalidConfigError: An option has a value that cannot be.
+        InvalidConfigError: The value of an option is invalid.
     """
     model, config = MODELS[name]
     made: Model = model(decode(config, options))

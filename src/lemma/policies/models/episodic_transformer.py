@@ -1,8 +1,8 @@
 """The Episodic Transformer: one token per word, per frame and per decision.
 
 After Pashevich et al., Episodic Transformer for Vision-and-Language Navigation (2021),
-with the heads of LEMMA. A frame is one token, pooled from a grid of 7 x 7 cells, which
-is what sets it apart from planners that look at objects.
+with the heads of LEMMA. A frame is one token, pooled from a grid of 7 x 7 cells, unlike
+in object-centric planners.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,11 +43,11 @@ from lemma.tasks.subtask import SubTask
 PARTS = ("robot", "primitive", "pick", "place")
 """Parts of a decision, in the order of its numbers."""
 SLOTS = MAX_PAST + 1
-"""Frames of the longest history: one before each past decision, and the present."""
+"""Number of frames of the longest history, including the present one."""
 _MOVE = PRIMITIVES.index("move")
 _IMAGE_CHANNELS = 5
 _HEIGHT_SCALE = 5.0
-"""Makes heights of up to 20 cm as large as colors are."""
+"""Scales heights of up to 20 cm to the range of colors."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class EpisodicTransformerConfig:
     """Options of the :class:`EpisodicTransformer`."""
 
     robots: Depth = 2
-    """Robots of a team."""
+    """Number of robots of a team."""
     entities: tuple[str, ...] = ()
-    """Entities that it can name; all that are known when it is made, if empty."""
+    """Names of its entities; all registered ones if empty."""
     text: TextKind = "words"
     """Kind of the text encoder: see ``TextConfig``."""
     width: Width = 384
@@ -65,30 +65,30 @@ class EpisodicTransformerConfig:
     heads: Depth = 6
     """Number of heads of each attention."""
     text_layers: Depth = 2
-    """Layers over the words alone."""
+    """Transformer layers over the words alone."""
     layers: Depth = 2
-    """Layers over words, frames and decisions."""
+    """Transformer layers over words, frames and decisions."""
     channels: Widths = (48, 96, 192, 384)
     """Channels of the stages of the image network, each with half the resolution."""
     blocks: Depth = 2
     """Residual blocks in each stage; 2 make a ResNet-18."""
     grid: Depth = 7
-    """Rows and columns of cells that a frame is pooled to."""
+    """Number of rows and of columns of the pooled grid."""
     cell_channels: Width = 64
-    """Values that remain of each cell."""
+    """Channels of each pooled cell."""
     max_words: Count = 40
-    """Words behind these are not read."""
+    """Largest number of words; later words are not read."""
     dropout: Share = 0.1
-    """Share of values that are left out in training."""
+    """Probability of dropout in training."""
     visual_dropout: Share = 0.3
-    """The same, of the cells."""
+    """Probability of dropout of the cells in training."""
     first_view_only: Share = 0.25
-    """Share of the episodes that in training show their first frame throughout, as in
+    """Share of training episodes in which all frames show the first view, as in
     multi-step planning."""
 
 
 class FrameNetwork(Network):
-    """Maps to the values of a grid of cells: a ResNet from scratch."""
+    """A ResNet from a map to the features of a grid of cells."""
 
     def __init__(self, config: EpisodicTransformerConfig) -> None:
         """Make the weights."""
@@ -132,23 +132,23 @@ class FrameNetwork(Network):
 
 @dataclass(frozen=True, eq=False)
 class TokenLayout:
-    """Where each frame of a batch belongs; G episodes or parts of them, B frames."""
+    """Assignment of B frames to G episodes or parts of episodes."""
 
     episode: Tensor
-    """Which of the G each frame belongs to, (B,) int64."""
+    """Index of each frame's episode, (B,) int64."""
     slot: Tensor
-    """How many decisions of its episode came before each frame, (B,) int64."""
+    """Number of decisions before each frame in its episode, (B,) int64."""
     actions: Tensor
     """Decisions of each episode, (G, MAX_PAST, 4) int64, padded with -1."""
     instructions: list[str]
-    """One for each of the G."""
+    """One instruction per episode."""
     foreseeable: Tensor
-    """Whether all follows from the first frame, because nothing went wrong, (G,)
-    bool."""
+    """Whether the first frame determines the rest, because the execution was not
+    perturbed, (G,) bool."""
 
     @property
     def present(self) -> Tensor:
-        """Which slots hold a frame, (G, SLOTS) bool."""
+        """Whether each slot has a frame, (G, SLOTS) bool."""
         found = self.episode.new_zeros(len(self.actions), SLOTS, dtype=torch.bool)
         found[self.episode, self.slot] = True
         return found
@@ -157,12 +157,12 @@ class TokenLayout:
 def layout_of_batch(batch: Batch) -> TokenLayout:
     """Return how a labelled batch splits into episodes.
 
-    Frames of one episode that follow one another are seen together, each knowing those
-    before it. A frame whose predecessor is not before it in the batch starts anew: it
-    knows what was done before, not what was seen.
+    Consecutive frames of one episode are in one group, and each attends to the frames
+    before it. A frame whose predecessor is not before it in the batch starts a new
+    group; its history has the earlier decisions, but not the earlier frames.
 
     Args:
-        batch: Frames in any order, with labels.
+        batch: Batch with labels, with frames in any order.
     """
     assert batch.labels is not None
     done = (batch.past[:, :, 1] != NOBODY).sum(1)
@@ -170,7 +170,7 @@ def layout_of_batch(batch: Batch) -> TokenLayout:
     new = torch.ones_like(done, dtype=torch.bool)
     step = torch.tensor([[0], [1], [1]], device=done.device)
     new[1:] = (numbers[:, 1:] - numbers[:, :-1] != step).any(0)
-    # The last frame of an episode comes before the first of the next.
+    # The last frame of a group is before the first one of the next.
     last = torch.cat([new[1:], new[:1]])
     firsts = torch.nonzero(new).flatten().tolist()
     return TokenLayout(
@@ -187,15 +187,16 @@ def layout_of_inputs(
     device: torch.device,
     entities: EntitySet = BENCHMARK,
 ) -> tuple[TokenLayout, list[View], Tensor]:
-    """Return how policies' inputs lie, with all that they saw.
+    """Return the layout and the views of policies' inputs.
 
     Args:
         inputs: One per episode.
-        device: Where the tensors shall be.
+        device: Device of the tensors.
         entities: Entities, in the order of their numbers.
 
     Returns:
-        The layout; each view once; and which of them each frame of the layout shows.
+        The layout; the different views; and for each frame of the layout the index of
+        its view, (B,).
     """
     views: dict[View, int] = {}
     episodes, slots, shown = [], [], []
@@ -221,25 +222,25 @@ def layout_of_inputs(
 
 
 class ViewCache(WeakKeyDictionary[View, Tensor]):
-    """A network's features of views; forgets a view that nobody else refers to.
+    """A cache of a network's features of views, with weak references to the views.
 
-    A closed loop looks at each view again at every later decision. A copy starts empty.
+    In a closed loop each view is an input of every later decision. Copies start empty.
     """
 
     state: object = None
-    """State of the network that found them."""
+    """State of the network for which the features are valid."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "ViewCache":
-        """Return an empty one."""
+        """Return an empty cache."""
         return ViewCache()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as an empty one."""
+        """Pickle as an empty cache."""
         return ViewCache, ()
 
 
 class EpisodicTransformer(MapModel):
-    """A planner that remembers all frames and decisions of its episode."""
+    """A planner whose input is all frames and decisions of the episode."""
 
     unit: ClassVar[Literal["frame", "episode"]] = "episode"
     selection: ClassVar[str] = "plan"
@@ -268,14 +269,14 @@ class EpisodicTransformer(MapModel):
         self.frame_token = nn.Linear(cells, width)
         self.frame_skip = nn.Linear(cells, width)
         sizes = (config.robots, len(PRIMITIVES), len(named), len(named.places))
-        # Number 0 is nobody.
+        # Number 0 stands for no robot and no entity.
         self.decisions = nn.ModuleList(nn.Embedding(n + 1, width) for n in sizes)
         self.kinds = drawn(3, width)
         self.times: Tensor
         self.register_buffer("times", sinusoids(SLOTS, width), persistent=False)
         self.norm_in = nn.LayerNorm(width)
         self.layers = nn.ModuleList(
-            # As wide between its linear layers as outside, unlike most transformers.
+            # Unlike in most transformers, the hidden width equals the token width.
             TransformerLayer(width, config.heads, width, config.dropout)
             for _ in range(config.layers)
         )
@@ -284,7 +285,7 @@ class EpisodicTransformer(MapModel):
         self._seen = ViewCache()
 
     def train(self, mode: bool = True) -> "EpisodicTransformer":
-        """Switch between training and use."""
+        """Switch between training and evaluation mode, and clear the cache."""
         self._seen.clear()
         super().train(mode)
         return self
@@ -293,14 +294,14 @@ class EpisodicTransformer(MapModel):
         """Return the scores of every choice, for each part of a decision, (B, n).
 
         Args:
-            batch: With labels, which tell frames' episodes; see
+            batch: Batch with labels, which have the episodes of frames; see
                 :func:`layout_of_batch`.
         """
         cells = self.frames(batch.rgb, batch.height_m, batch.coverage)
         return self._decide(cells, layout_of_batch(batch))
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the cross entropy of each part of the decision."""
+        """Return the cross-entropy of each part of the decision."""
         assert batch.labels is not None
         targets = batch.labels.decision
         return {
@@ -311,7 +312,7 @@ class EpisodicTransformer(MapModel):
         }
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return whether each part is right, and whether all are (``plan``)."""
+        """Return whether each part is right, and whether all are (``plan``), (B,)."""
         assert batch.labels is not None
         targets = batch.labels.decision
         right = choose(self.forward(batch), batch.entities) == targets
@@ -332,7 +333,7 @@ class EpisodicTransformer(MapModel):
         device = self.device
         layout, views, shown = layout_of_inputs(inputs, device, self.entities)
         scores = self._decide(self._cells_of(views)[shown], layout)
-        # The present is the last frame of each episode.
+        # The present frame is the last one of each episode.
         present = torch.cumsum(torch.bincount(layout.episode), 0) - 1
         scores = [part[present] for part in scores]
         robots = torch.tensor(
@@ -342,7 +343,7 @@ class EpisodicTransformer(MapModel):
         return [scores[0].masked_fill(absent, -torch.inf), *scores[1:]]
 
     def _cells_of(self, views: list[View]) -> Tensor:
-        """Return the cells of different views, looking at those that are new."""
+        """Return the cells of views; compute only those that are not cached."""
         weights = list(self.frames.parameters())
         state = weights[0].device, weights[0].dtype, sum(w._version for w in weights)
         if state != self._seen.state:
@@ -391,7 +392,7 @@ class EpisodicTransformer(MapModel):
         firsts = torch.cumsum(counts, 0) - counts
         chosen = torch.rand(len(firsts), device=cells.device)
         frozen = (chosen < self.config.first_view_only) & (layout.slot[firsts] == 0)
-        # The first frame does not show what to do after a mistake.
+        # After a perturbation the first frame does not determine the decisions.
         frozen &= layout.foreseeable
         shown = cells[firsts[layout.episode]]
         return torch.where(frozen[layout.episode].unsqueeze(1), shown, cells)
@@ -403,16 +404,16 @@ class EpisodicTransformer(MapModel):
 
 
 def attention_mask(words: Tensor, frames: Tensor, decisions: Tensor) -> Tensor:
-    """Return who looks at whom, (G, N, N) bool, over words, frames and decisions.
+    """Return the attention mask over words, frames and decisions, (G, N, N) bool.
 
-    Words look at words; a frame at all words, at itself and the frames before, and at
-    the decisions before; a decision like the frame that it was made at, and at itself.
-    Tokens that are not there look at themselves, so that no row is empty.
+    Words attend to words. A frame attends to all words, to itself and earlier frames,
+    and to earlier decisions. A decision attends to the same tokens as its frame, and to
+    itself. Padding attends to itself, so that no row is empty.
 
     Args:
-        words: Which are there, (G, words).
-        frames: (G, slots).
-        decisions: (G, slots - 1).
+        words: True for words, False for padding, (G, words).
+        frames: The same for frames, (G, slots).
+        decisions: The same for decisions, (G, slots - 1).
     """
     groups, count = words.shape
     slots = frames.shape[1]
@@ -420,7 +421,7 @@ def attention_mask(words: Tensor, frames: Tensor, decisions: Tensor) -> Tensor:
     time = torch.arange(slots, device=words.device)
     when = torch.cat([time.new_full((count,), -1), time, time[:-1] + 0.5])
     kind_words = when < 0
-    # Decision t comes after frame t and before frame t + 1.
+    # Decision t is between frames t and t + 1.
     earlier = when[None, :] <= when[:, None]
     allowed = torch.where(kind_words[:, None], kind_words[None, :], earlier)
     myself = torch.eye(len(when), dtype=torch.bool, device=words.device)
@@ -428,10 +429,10 @@ def attention_mask(words: Tensor, frames: Tensor, decisions: Tensor) -> Tensor:
 
 
 def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
-    """Return the best decisions that make sense, (B, 4); -1 but the primitive for stop.
+    """Return the best valid decisions, (B, 4); -1 except the primitive for ``stop``.
 
-    ``move`` takes a cube or the stick to another place; all else acts with the stick on
-    a cube. Whether the objects are there is for the network to see.
+    Valid is ``move`` with a cube or the stick to another place, and any other primitive
+    with the stick on a cube. Whether the objects are present is left to the network.
 
     Args:
         scores: Scores of robots, primitives, picked and place entities, (B, n) each.
@@ -451,7 +452,7 @@ def choose(scores: Sequence[Tensor], entities: EntitySet = BENCHMARK) -> Tensor:
 
 @cache
 def _sensible(entities: EntitySet) -> Tensor:
-    """Return which (primitive, pick, place) can be said, bool."""
+    """Return the mask of valid decisions, (primitives, picks, places) bool."""
     traits, stick = traits_of(entities, torch.device("cpu")), entities.stick
     shape = len(PRIMITIVES), len(entities), len(entities.places)
     found = torch.zeros(shape, dtype=torch.bool)

@@ -1,10 +1,9 @@
-"""Where things are on maps: cells, yaws, turned crops, and how kernels fit on maps.
+"""Positions and yaws on feature maps, rotated crops, and correlation with kernels.
 
-Every cell of a map that a network makes covers ``stride`` x ``stride`` cells of the
-raster. A position is told by the cell that holds it and by where it is in that cell;
-a yaw, counter-clockwise seen from above, by a bin and a residual. Rows of a map go
-down, towards -y, columns to the right, towards +x; a crop about a pose has its columns
-along the pose's x axis.
+Every cell of a feature map covers ``stride`` x ``stride`` cells of the raster. A
+position is a cell and an offset in it; a yaw, counter-clockwise seen from above, is a
+bin and a residual. Rows increase towards -y, columns towards +x; the columns of a crop
+about a pose are along the pose's x axis.
 """
 
 import math
@@ -20,7 +19,7 @@ from lemma.scene.raster import Raster
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """The cells of a feature map; numbered row by row."""
+    """The cells of a feature map, numbered row by row."""
 
     rows: int
     columns: int
@@ -29,17 +28,17 @@ class Cells:
 
     @classmethod
     def of(cls, raster: Raster, stride: int) -> "Cells":
-        """Return the cells of a map whose sides a stride divides."""
+        """Return the cells of a feature map; the stride must divide the raster."""
         return cls(
             raster.rows // stride, raster.columns // stride, raster.cell_m * stride
         )
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of cells."""
         return self.rows * self.columns
 
     def holding(self, xy_m: Tensor) -> Tensor:
-        """Return the numbers of the cells that hold positions, or lie next to them.
+        """Return the numbers of the cells at positions, or nearest to them.
 
         Args:
             xy_m: World frame [m], (..., 2).
@@ -50,7 +49,7 @@ class Cells:
         )
 
     def continuous(self, xy_m: Tensor) -> Tensor:
-        """Return columns and rows with fractions, (..., 2), also beyond the map."""
+        """Return fractional columns and rows, (..., 2), also outside of the map."""
         x, y = xy_m.unbind(-1)
         column = x / self.cell_m + self.columns / 2
         return torch.stack([column, self.rows / 2 - y / self.cell_m], -1)
@@ -63,13 +62,13 @@ class Cells:
         return torch.stack([x, y], -1)
 
     def around(self, numbers: Tensor) -> Tensor:
-        """Return the nine cells around and including each, clipped to the map.
+        """Return the 3 x 3 cells around each cell, clipped to the map.
 
         Args:
             numbers: Cells, (B,).
 
         Returns:
-            Cells, (B, 9); number 4 is the one in the middle.
+            Cells, (B, 9); the cell itself is at index 4.
         """
         step = torch.arange(-1, 2, device=numbers.device)
         row = (numbers // self.columns)[:, None] + step
@@ -78,7 +77,7 @@ class Cells:
         return (row[:, :, None] * self.columns + column[:, None, :]).flatten(1)
 
     def offsets(self, xy_m: Tensor, numbers: Tensor) -> Tensor:
-        """Return where positions are, seen from cells, in sides of a cell.
+        """Return offsets of positions from cells, (..., 2), in sides of a cell.
 
         Args:
             xy_m: World frame [m], (..., 2).
@@ -87,7 +86,7 @@ class Cells:
         return (xy_m - self.centres(numbers)) / self.cell_m
 
     def positions(self, numbers: Tensor, offsets: Tensor) -> Tensor:
-        """Return the positions [m] that :meth:`offsets` would describe so."""
+        """Return world positions [m], (..., 2): the inverse of :meth:`offsets`."""
         return self.centres(numbers) + offsets * self.cell_m
 
 
@@ -112,27 +111,27 @@ def wrapped(angle: Tensor) -> Tensor:
 
 
 def seen_from(pose: Tensor, xy_m: Tensor) -> Tensor:
-    """Return positions ahead and to the left of poses [m], (B, 2)."""
+    """Return world positions in the frames of poses [m], (B, 2)."""
     x, y = (xy_m - pose[:, :2]).unbind(1)
     cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
     return torch.stack([cos * x + sin * y, cos * y - sin * x], 1)
 
 
 def bin_yaws(bins: int, device: torch.device | None = None) -> Tensor:
-    """Return the yaws in the middle of bins of a whole turn [rad], (bins,)."""
+    """Return the central yaws of bins of a full turn [rad], (bins,)."""
     return torch.arange(bins, device=device) * (2 * math.pi / bins)
 
 
 def nearest_bins(yaw: Tensor, bins: int) -> tuple[Tensor, Tensor]:
-    """Return the nearest bin and the second nearest, and how far off they are.
+    """Return the two nearest bins of yaws, with residuals.
 
     Args:
         yaw: [rad], (...).
-        bins: Number of bins of a whole turn.
+        bins: Number of bins of a full turn.
 
     Returns:
-        Bins, (..., 2) int64, and what is to be added to them, in widths of a bin,
-        (..., 2), in [-1, 1].
+        Bins, nearest first, (..., 2) int64, and the residuals of the yaw from them, in
+        widths of a bin, (..., 2), in [-1, 1].
     """
     width = 2 * math.pi / bins
     position = torch.remainder(yaw, 2 * math.pi) / width
@@ -144,24 +143,24 @@ def nearest_bins(yaw: Tensor, bins: int) -> tuple[Tensor, Tensor]:
 
 
 def yaw_of(bin_number: Tensor, residual: Tensor, bins: int) -> Tensor:
-    """Return the yaw [rad] that :func:`nearest_bins` would describe so."""
+    """Return the yaw [rad] of a bin and a residual; see :func:`nearest_bins`."""
     return wrapped((bin_number + residual) * (2 * math.pi / bins))
 
 
 def crop_about(
     image: Tensor, pose: Tensor, raster: Raster, size: int, side_m: float
 ) -> Tensor:
-    """Cut a square out of maps, turned with a pose.
+    """Cut squares out of maps, centered at poses and rotated with them.
 
     Args:
         image: (B, C, rows, columns), on the cells of the raster.
-        pose: x, y [m], yaw [rad] of the middle of the square, (B, 3).
-        raster: Where the cells are.
+        pose: x, y [m], yaw [rad] of the center of the square, (B, 3).
+        raster: Raster of the maps.
         size: Cells along a side of the square.
-        side_m: Its side [m].
+        side_m: Length of its side [m].
 
     Returns:
-        (B, C, size, size); 0 outside the map.
+        (B, C, size, size); 0 outside of the map.
     """
     cell_m = side_m / size
     steps = (torch.arange(size, device=image.device) + 0.5 - size / 2) * cell_m
@@ -177,16 +176,16 @@ def crop_about(
 
 
 def turned(features: Tensor, yaws: Tensor, scale: float = 1.0) -> Tensor:
-    """Turn square feature maps by several angles about their middles.
+    """Rotate square feature maps by several angles about their centers.
 
     Args:
         features: (B, C, n, n).
         yaws: [rad], counter-clockwise, (R,).
-        scale: How many times larger their cells are than those of the result.
+        scale: Ratio of the size of their cells to that of the result's cells.
 
     Returns:
-        (B, R, C, s, s) with s odd, n * scale or the next one, so that a cell lies in
-        the middle.
+        (B, R, C, s, s) with s odd, n * scale or the next odd number, so that a cell is
+        in the center.
     """
     count, channels, size, _ = features.shape
     wide = round(size * scale)
@@ -202,21 +201,21 @@ def turned(features: Tensor, yaws: Tensor, scale: float = 1.0) -> Tensor:
 
 
 def correlate(key: Tensor, kernels: Tensor) -> Tensor:
-    """Correlate each sample's map with each of its kernels, by their spectra.
+    """Correlate each sample's map with each of its kernels, by FFT.
 
-    The kernels see a metre of table: sliding them over the map would take far longer.
+    The kernels cover a metre of the table, so a direct convolution would be far slower.
 
     Args:
         key: (B, C, rows, columns).
         kernels: (B, R, C, s, s) with s odd.
 
     Returns:
-        (B, R, rows, columns) float32: how well the kernel fits with its middle on the
-        cell; nothing lies outside the map.
+        Correlation with the kernel's center on each cell, (B, R, rows, columns)
+        float32; the map is zero-padded.
     """
     rows, columns = key.shape[-2:]
     half = kernels.shape[-1] // 2
-    # Values that wrap around must fall into the padding.
+    # Pad so that the wrap-around stays in the padding.
     size = tuple(next_fast_len(n + half, real=True) for n in (rows, columns))
     with torch.autocast(key.device.type, enabled=False):
         key_spectrum = torch.fft.rfft2(key.float(), s=size)

@@ -1,13 +1,13 @@
 """KeyPose: the next key pose of a gripper from the map, joints and a sentence.
 
-After PerAct (Shridhar et al., 2022) and RVT (Goyal et al., 2023), written anew for a
-table that is seen from above: where a hand shall close, open or push next is a cell of
-the map and a position in it; features of that cell tell height, yaw, which robot goes
-there and what happens there. Waypoints of the control mode ``ee_waypoint`` lead there,
-see :mod:`lemma.env.control.key_poses`; then the policy looks again.
+After PerAct (Shridhar et al., 2022) and RVT (Goyal et al., 2023), reimplemented for
+top-down maps. The position where a hand closes, opens or pushes next is a cell of the
+map and an offset in it. The features of that cell predict height, yaw, robot and kind
+of the key pose. Waypoints of the control mode ``ee_waypoint`` lead to it, see
+:mod:`lemma.env.control.key_poses`; then the policy predicts the next one.
 
-One network sees color and height. The sentence, the positions of the arms and what they
-hold scale and shift its features at every level.
+One network has color and height as input. The sentence, the joints of the arms and
+their grasps scale and shift its features at every level (FiLM).
 """
 
 import math
@@ -41,10 +41,10 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.raster import Raster
 
 _FINER = 2
-"""The output has so many cells along a side of a cell of features."""
+"""Cells of the output along a side of a cell of features."""
 _LOUDNESS = 2.0
 _ROBOT_NUMBERS = 8
-"""Numbers of each robot: joint angles, opening, and whether it holds something."""
+"""Inputs per robot: six joint angles, opening, and whether it holds an object."""
 _HEIGHT_UNIT_M = 0.05
 _YAW_WEIGHT = 0.5
 _NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.02, 0.012, math.radians(12.0)
@@ -55,23 +55,23 @@ class KeyPoseConfig(MapConfig):
     """Options of :class:`KeyPoseModel`."""
 
     widths: Widths = (64, 96, 160, 256)
-    """Channels at a quarter to a 32nd of the map's resolution."""
+    """Channels at 1/4, 1/8, 1/16 and 1/32 of the map's resolution."""
     bins: Count = 24
-    """Number of bins of yaw; each is refined by a residual."""
+    """Number of bins of yaw, each with a residual."""
     state_width: Width = 64
-    """Numbers that tell how the arms are."""
+    """Width of the embedding of the arms' state."""
     text_width: Width = 192
     """Width of a word."""
     text_layers: Depth = 2
     """Transformer layers over the words."""
     word_dropout: Share = 0.05
-    """Share of words that are unknown in training."""
+    """Share of words that are replaced by the unknown word in training."""
     robots: Depth = 2
     """Number of robots of every scene."""
 
 
 class _Tuned(nn.Module):
-    """Scales and shifts channels by a vector."""
+    """FiLM: scales and shifts channels by a vector."""
 
     def __init__(self, vector_width: int, width: int) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class _Tuned(nn.Module):
 
 
 class _Decoder(Network):
-    """Features at a quarter of the resolution, with a vector in mind."""
+    """Decodes to 1/4 of the resolution, conditioned on a vector."""
 
     def __init__(self, widths: Sequence[int], vector_width: int) -> None:
         super().__init__()
@@ -133,7 +133,7 @@ class _CellPredictions:
 class KeyPoseModel(MapModel):
     """Predicts the next key pose, and is a policy at control level."""
 
-    # Last bits depend on the size of a batch, and a pose is made of all bits.
+    # Poses are continuous, and their last bits depend on the size of a batch.
     at_once = 1
     selection = "decided"
     of_fixed_shape = True
@@ -182,7 +182,7 @@ class KeyPoseModel(MapModel):
         return {"words": torch.stack(words)}
 
     def look(self, batch: Batch) -> _Seen:
-        """Look at a table with a sentence in mind."""
+        """Return logits and features of the map, conditioned on the sentence."""
         tensors = batch.text_tensors or self.text_tensors(batch)
         words = Sentences(*tensors["words"])
         sentence = F.layer_norm(self.text.pooled(words), (self.config.text_width,))
@@ -194,7 +194,7 @@ class KeyPoseModel(MapModel):
         return _Seen(maps.flatten(1).float(), features, known)
 
     def at(self, seen: _Seen, numbers: Tensor, raster: Raster) -> _CellPredictions:
-        """Say more about some cells, (B, K)."""
+        """Return the predictions for some cells, (B, K)."""
         columns = cells_of(raster).columns
         row, column = numbers // columns, numbers % columns
         coarse = (row // _FINER) * seen.features.shape[-1] + column // _FINER
@@ -207,7 +207,7 @@ class KeyPoseModel(MapModel):
         return _CellPredictions(*found.split(self._outputs, -1))
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses of the cell, and of what is said there."""
+        """Return the losses of the cell and of the predictions for it."""
         pose, kind, height_m, robot = _labels(batch)
         seen = self.look(batch)
         cells = cells_of(batch.raster)
@@ -238,10 +238,10 @@ class KeyPoseModel(MapModel):
         }
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return whether key poses are the expert's, (B,) each.
+        """Return whether key poses match the expert's, (B,) each.
 
-        ``decided``: the robot and the kind are, and the gripper is within 2 cm and, in
-        height, 12 mm.
+        ``decided``: robot and kind are equal, and the gripper is within 2 cm
+        horizontally and 12 mm vertically.
         """
         pose, kind, height_m, robot = _labels(batch)
         with self.deciding():
@@ -249,7 +249,7 @@ class KeyPoseModel(MapModel):
         near_m = (found[:, :2] - pose[:, :2]).norm(dim=1)
         high_m = (z - height_m).abs()
         near, high = near_m < _NEAR_M, high_m < _NEAR_HEIGHT_M
-        # A quarter turn of a cube looks the same.
+        # A cube is symmetric under quarter turns.
         turn = wrapped((found[:, 2] - pose[:, 2]) * 4.0).abs() / 4.0
         right_kind, right_robot = what == kind, who == robot
         decided = near & high & right_kind & right_robot
@@ -327,12 +327,12 @@ class KeyPoseModel(MapModel):
 
 
 def cells_of(raster: Raster) -> Cells:
-    """Return the cells in which a key pose is."""
+    """Return the cells of the output."""
     return Cells.of(raster, STRIDE // _FINER)
 
 
 def _state_of(batch: Batch) -> Tensor:
-    """Return joint angles, openings and whether hands hold something, (B, R * 8)."""
+    """Return joint angles, openings and whether hands hold an object, (B, R * 8)."""
     wide = batch.opening_m / FINGER_OPENING_M
     holds = ((wide > 0.1) & (wide < 0.9)).float()
     each = torch.cat([batch.joints / math.pi, wide[..., None], holds[..., None]], -1)

@@ -12,9 +12,9 @@ from lemma.scene.objects.entity import SHARED, STICK, kind_of
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 NONE = "none"
-"""Stands for no robot and no object."""
+"""Value for no robot and no object."""
 WAIT = "wait"
-"""Primitive of a robot that leaves the decision to another one."""
+"""Primitive with which a robot leaves the decision to another robot."""
 _FIELDS = ("reason", "robot", "primitive", "pick", "place")
 _SHOWN = 80
 _MOST_THOUGHTS = 50
@@ -23,16 +23,16 @@ _LANGUAGE = re.compile(r"^\w*")
 
 
 class InvalidAnswer(StrEnum):
-    """The ways in which an answer is no sub-task."""
+    """Kinds of invalid answers."""
 
     NO_JSON = "no_json"
-    """It is no JSON."""
+    """The answer is not JSON."""
     NOT_IN_SCHEMA = "not_in_schema"
-    """It is JSON of another form."""
+    """The answer is JSON that does not match the schema."""
     UNKNOWN_NAME = "unknown_name"
-    """It names a robot, a primitive or an object that is not there."""
+    """The answer names an unknown robot, primitive or object."""
     IMPOSSIBLE = "impossible"
-    """It can never be done: it hooks with a cube, or moves a pad."""
+    """The sub-task is never possible: it hooks with a cube, or moves a pad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,19 +40,21 @@ class Answer:
     """A valid answer."""
 
     subtask: SubTask | None
-    """None to wait."""
+    """The sub-task; None to wait."""
     message: str = ""
-    """To the other robots."""
+    """Message to the other robots."""
+    reason: str = ""
+    """Its words for it."""
 
 
 class InvalidAnswerError(Exception):
-    """An answer that is no sub-task."""
+    """An invalid answer."""
 
     def __init__(self, kind: InvalidAnswer, explanation: str) -> None:
-        """Keep the mistake.
+        """Store kind and explanation.
 
         Args:
-            kind: Its kind.
+            kind: Kind of the invalid answer.
             explanation: One sentence for the model.
         """
         super().__init__(explanation)
@@ -61,16 +63,16 @@ class InvalidAnswerError(Exception):
 
 @dataclass(frozen=True)
 class AnswerFormat:
-    """The valid answers at a table."""
+    """The format of valid answers in a scene."""
 
     robots: tuple[str, ...]
     """Robots that the answer may name."""
     objects: tuple[str, ...]
     """Names of the entities on the table."""
     talks: bool = False
-    """Whether a robot speaks for itself: answers hold a message to the others."""
+    """Whether answers have a message to the other robots."""
     may_wait: bool = False
-    """Whether it may leave the decision to another robot."""
+    """Whether the robot may leave the decision to another one."""
 
     @property
     def cargo(self) -> tuple[str, ...]:
@@ -84,7 +86,7 @@ class AnswerFormat:
 
     @cached_property
     def primitives(self) -> tuple[str, ...]:
-        """Valid primitives; without a stick, none that need it."""
+        """Valid primitives; without a stick in the scene, only those that need none."""
         usable = (n for n in PRIMITIVES if self.has_stick or not PRIMITIVES[n].tool)
         return (*usable, *([WAIT] if self.may_wait else []))
 
@@ -133,20 +135,20 @@ class AnswerFormat:
         """Return the answer in a text.
 
         Raises:
-            InvalidAnswerError: It is no sub-task of this table.
+            InvalidAnswerError: The text is no valid answer in this scene.
         """
         answer = _parsed(text)
         wanted = {*_FIELDS, *(["message"] if self.talks else [])}
         if not isinstance(answer, dict):
             raise _not_in_schema("It is no JSON object.")
-        # Models without a schema write null in place of "none" and of no words.
+        # Models without a schema write null for "none" and for empty texts.
         for field in ("robot", "pick", "place"):
             if field in answer and answer[field] in (None, ""):
                 answer[field] = NONE
         for field in ("reason", "message"):
             if answer.get(field, "") is None:
                 answer[field] = ""
-        # A server that takes no schema may leave out what nobody needs.
+        # Servers without support of schemas may omit these optional fields.
         missing = sorted(wanted - {"reason", "message"} - set(answer))
         if missing:
             raise _not_in_schema(f"It lacks {', '.join(missing)}.")
@@ -163,7 +165,8 @@ class AnswerFormat:
                     f"{field} is {json.dumps(answer[field][:_SHOWN])}. "
                     f"Valid: {', '.join(names)}.",
                 )
-        return Answer(self._subtask(answer), answer.get("message", ""))
+        said = (answer.get(field, "") for field in ("message", "reason"))
+        return Answer(self._subtask(answer), *said)
 
     def _subtask(self, answer: dict[str, str]) -> SubTask | None:
         if answer["primitive"] == WAIT:
@@ -184,7 +187,7 @@ class AnswerFormat:
         return subtask
 
     def why_not(self, subtask: SubTask) -> str:
-        """Return why a sub-task can never be done; empty if it might."""
+        """Return why a sub-task is never possible, one sentence; empty if it may be."""
         primitive, pick, place = subtask.primitive, subtask.pick, subtask.place
         if PRIMITIVES[primitive].tool:
             if pick != STICK:
@@ -216,7 +219,7 @@ _END_OF_THOUGHTS = re.compile(
     r"|Here is my response:",
     re.IGNORECASE,
 )
-"""Marks at the end of thoughts, of many language models."""
+"""Marks of many language models at the end of their reasoning."""
 _MARK = r"(?:<\|\w+\|>|</?(?:s|answer|response|final|output)>|<(?:end_of_turn|eos)>)"
 _MARKS_BEFORE = re.compile(rf"(?:{_MARK}\s*)+", re.IGNORECASE)
 _MARKS_AFTER = re.compile(rf"(?:{_MARK}\s*)+$", re.IGNORECASE)
@@ -224,12 +227,12 @@ _MARKS_LENGTH = 100
 
 
 def _parsed(text: str) -> Any:
-    """Return the JSON of an answer, without thoughts before it and markup around."""
+    """Return the JSON of an answer, without reasoning before it and markup around."""
     ends = [0, *(match.end() for match in _END_OF_THOUGHTS.finditer(text))]
     for end in ends[:_MOST_THOUGHTS]:
         bare = _bare(text[end:])
         try:
-            # Line breaks within strings are no JSON, but cannot be misunderstood.
+            # Line breaks within strings are invalid JSON, but unambiguous.
             return json.loads(bare, strict=False)
         except (ValueError, RecursionError):
             continue

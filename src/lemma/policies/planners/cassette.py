@@ -1,9 +1,8 @@
-"""Cassettes: requests to language models and the answers, one JSON line each.
+"""Cassettes: recorded requests to language models with their replies, as JSON lines.
 
-A line is found by the SHA-256 of the request as canonical JSON, so replay needs no
-server and gives equal answers in any order and in any number of processes. If two
-processes get different answers to one request, the first that was written counts for
-both.
+The key of a line is the SHA-256 of the request as canonical JSON, so replay needs no
+server and gives the same replies in any order and in any number of processes. If two
+processes get different replies to one request, both use the one that was written first.
 """
 
 import hashlib
@@ -43,10 +42,10 @@ def key_of(request: Mapping[str, Any]) -> str:
 
 
 class Cassette:
-    """A file of answers; may be used by several threads, and the file by processes."""
+    """A file of recorded replies, safe for several threads and processes."""
 
     def __init__(self, path: Path) -> None:
-        """Keep the path; the file is read at the first request.
+        """Store the path; the first request reads the file.
 
         Args:
             path: The file, which need not exist yet.
@@ -58,7 +57,7 @@ class Cassette:
         self._lock = Lock()
 
     def find(self, request: Mapping[str, Any]) -> Reply | None:
-        """Return the reply to a request; None if it was never recorded.
+        """Return the recorded reply to a request, or None.
 
         Raises:
             DatasetError: The file is damaged.
@@ -70,7 +69,7 @@ class Cassette:
             return self._replies.get(key)
 
     def keep(self, request: Mapping[str, Any], reply: Reply) -> Reply:
-        """Write a reply and return it, or the one that another process wrote before.
+        """Record a reply and return it; an earlier reply to the request has priority.
 
         Raises:
             DatasetError: The file is damaged, or cannot be written.
@@ -89,7 +88,7 @@ class Cassette:
 
     @contextmanager
     def _explained(self, what: str) -> Iterator[None]:
-        """Turn the errors of files into one sentence.
+        """Convert OS errors to one sentence.
 
         Raises:
             DatasetError: The file cannot be used.
@@ -104,7 +103,7 @@ class Cassette:
             ) from error
 
     def _append(self, data: bytes) -> None:
-        """Write a line, over an unfinished line of a writer that was killed."""
+        """Append a line; replace an incomplete last line of a killed process."""
         with self.path.open("r+b" if self.path.exists() else "xb+") as file:
             file.truncate(self._end)
             file.seek(max(0, self._end - 1))
@@ -118,7 +117,7 @@ class Cassette:
         self._lines += 1
 
     def _read_on(self) -> None:
-        """Read the lines that were added since."""
+        """Read the lines that were added since the last read."""
         for number, end, line in self._read(self._lines, self._end):
             self._lines, self._end = number, end
             if line is not None:
@@ -127,11 +126,11 @@ class Cassette:
     def _read(
         self, number: int = 0, end: int = 0
     ) -> Iterator[tuple[int, int, _Line | None]]:
-        """Yield number, end in bytes and content of further lines; None for blanks.
+        """Yield number, end [bytes] and content of further lines; None for blank ones.
 
         Args:
-            number: Number of the last line that was read.
-            end: Its end in bytes.
+            number: Number of the last read line.
+            end: End of that line [bytes].
         """
         if not self.path.exists():
             return
@@ -145,7 +144,7 @@ class Cassette:
                     is_begun = _BEGIN.startswith(data[: len(_BEGIN)])
                     if data.endswith(b"\n") or not is_begun:
                         raise
-                    # A writer that was killed has begun it.
+                    # An incomplete last line of a killed process.
                     return
                 yield each, end, line
 
@@ -162,11 +161,11 @@ class Cassette:
         return line
 
     def missing(self, request: Mapping[str, Any], why: str) -> PlannerUnavailableError:
-        """Return the error of a request that is not on the cassette.
+        """Return the error for a request that is not on the cassette.
 
         Args:
             request: The request.
-            why: Why it is not sent to a server, a sentence.
+            why: A sentence, why the request is not sent to a server.
         """
         text = f"{self.path} has no answer to a request ({key_of(request)[:12]}). {why}"
         wanted = _flat(request)
@@ -189,8 +188,8 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return the first differences between two requests, as "... became ...".
 
     Args:
-        before: The one that was recorded.
-        now: The other.
+        before: The recorded request.
+        now: The present request.
     """
     old, new = _flat(before), _flat(now)
     matcher = SequenceMatcher(None, old, new, autojunk=False)
@@ -203,7 +202,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def _flat(request: Mapping[str, Any]) -> list[str]:
-    """Return a request as lines that can be compared."""
+    """Return a request as lines of text, to compare."""
     lines = [f"{k}={json.dumps(v)}" for k, v in sorted(request.items())]
     for message in request.get("messages") or ():
         content = message.get("content") if isinstance(message, dict) else message
@@ -214,7 +213,7 @@ def _flat(request: Mapping[str, Any]) -> list[str]:
 
 
 def _apart(before: str, now: str) -> tuple[str, str]:
-    """Return two texts from a little before their first difference."""
+    """Return excerpts of two texts that begin shortly before their first difference."""
     pairs = enumerate(zip(before, now, strict=False))
     parting = next((i for i, (a, b) in pairs if a != b), min(len(before), len(now)))
     start = max(0, parting - _SHOWN // 3)

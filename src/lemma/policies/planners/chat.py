@@ -1,4 +1,4 @@
-"""How language models are asked, and what comes back."""
+"""Options of requests to language models, and their replies."""
 
 import json
 import shlex
@@ -19,24 +19,24 @@ AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class PlannerUnavailableError(LemmaError, RuntimeError):
-    """Nobody answers, or nobody may be asked.
+    """The server does not answer, or requests to it are not allowed.
 
-    No fault of the model: nothing is known about what it would have decided.
+    This is not counted as a failure of the model, whose decision is unknown.
     """
 
 
 @dataclass(frozen=True)
 class ChatOptions:
-    """How a language model is asked; plain data, so that other processes can ask."""
+    """Options of requests to a language model: plain data for other processes."""
 
     base_url: str = ""
     """Address of an OpenAI-compatible server, such as http://127.0.0.1:8000/v1. A key
     is read from the environment variable LEMMA_API_KEY."""
     cassette: Path | None = None
-    """File of requests and answers: requests that are in it are not sent."""
+    """File of recorded requests and replies: requests in it are not sent."""
     cassette_mode: Literal["record", "replay", "strict"] = "record"
-    """Treatment of other requests. record: they are sent and kept; replay: they are
-    sent; strict: they are an error that says what changed."""
+    """Treatment of other requests. record: send and record them; replay: send them;
+    strict: an error that shows the changes."""
     perception: Literal["truth", "seen"] = "truth"
     """Source of the text about the table: the simulation, or ReachNet's perception."""
     team: Literal["one", "each"] = "one"
@@ -44,15 +44,15 @@ class ChatOptions:
     pictures: bool = False
     """Send the images of the robots' cameras as well."""
     tries: AtLeastOne = 3
-    """Answers to a question, until one is a sub-task."""
+    """Largest number of answers to a question, until one is valid."""
     max_tokens: AtLeastOne = 1024
     """Largest length of an answer."""
     concurrency: AtLeastOne = 8
-    """Requests at a time, of all workers of this machine. Each may take --timeout times
-    as long, since the server may answer one after the other."""
+    """Concurrent requests of all workers of this machine. The time limit of each is
+    --timeout times this number, since the server may answer them sequentially."""
     extra_body: str = ""
-    """JSON object with fields of every request that replace the usual ones, for servers
-    that do not know those; null leaves a field out."""
+    """JSON object whose fields replace those of every request, for servers that do not
+    support them; null removes a field."""
 
     def __post_init__(self) -> None:
         """Check the names and the numbers."""
@@ -60,8 +60,8 @@ class ChatOptions:
         reserved = {"model", "messages", "stream"} & self.fields.keys()
         if reserved:
             raise InvalidConfigError(
-                f"The extra body sets {', '.join(sorted(reserved))}, which every "
-                "request sets for itself. Leave it out."
+                f"The extra body sets {', '.join(sorted(reserved))}, which each "
+                "request needs to set itself. Leave it out."
             )
         if secret := secret_in(self.extra_body or "{}"):
             raise InvalidConfigError(
@@ -84,15 +84,15 @@ class ChatOptions:
         return found
 
     def settings(self) -> dict[str, Any]:
-        """Return the options that decide the answers, not where they come from."""
+        """Return the options that affect the answers, without the source of replies."""
         names = ("perception", "team", "pictures", "tries", "max_tokens")
         extra = {"extra_body": self.fields} if self.fields else {}
         return {name: getattr(self, name) for name in names} | extra
 
     def words(self) -> list[str]:
-        """Return the options of the command line that ask for the same.
+        """Return these options as arguments of the command line.
 
-        Of a cassette the name alone: it is shared, and may lie anywhere.
+        A cassette has its file name without the folder, which differs between machines.
         """
         options = self.settings()
         if self.fields:
@@ -113,14 +113,14 @@ class ChatOptions:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request, or why there is none."""
+    """The reply to a request, or the reason why there is none."""
 
     content: str = ""
     prompt_tokens: int = 0
     completion_tokens: int = 0
     failure: str = ""
-    """``"timeout"`` or ``"raised"`` where the server gave no answer to this request."""
+    """``"timeout"`` or ``"raised"`` if the server did not reply to this request."""
     explanation: str = ""
-    """Error in one sentence, if it failed."""
+    """The error in one sentence, after a failure."""
     remark: str = ""
-    """Why the content is empty or not whole, a sentence; empty if nothing is odd."""
+    """Why the content is empty or incomplete, in one sentence; empty otherwise."""

@@ -1,7 +1,7 @@
-"""The client of chat servers that speak OpenAI's format, over plain HTTP.
+"""An HTTP client for chat servers with OpenAI's format.
 
-The key, if the server asks for one, is in an environment variable and nowhere else: not
-in options, results or messages.
+The key for the server, if it needs one, comes from an environment variable. It never
+appears in options, results or messages.
 """
 
 import http.client
@@ -38,18 +38,19 @@ from lemma.policies.planners.chat import (
 )
 
 WAITS_S = (1.0, 4.0)
-"""Before each further attempt at a request that was not answered [s]."""
+"""Delay before each further attempt at a request without an answer [s]."""
 _LONGEST_WAIT_S = 60.0
 _LARGEST = 4_000_000
 _CHUNK = 65_536
 _SHOWN = 200
 _POLL_S = 0.02
 _SHORTEST_SECRET = 8
-"""Shorter keys are placeholders such as ``none``, which may be words of an answer."""
+"""Shorter keys are not hidden: they are placeholders such as ``none``, which may be
+words of an answer."""
 
 TIMEOUT = "timeout"
 RAISED = "raised"
-"""Kinds of failure, by the names that results have for them."""
+"""Kinds of failure, as in results."""
 
 _EMPTY_QUESTION = (
     'Sentence: "stop"\n\nRobots\n\nObjects\n\nSo far\n- nothing was done yet\n\n'
@@ -59,34 +60,34 @@ _GREY_PICTURE = (
     "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAEAAAABACAAAAACPAi4CAAAALElEQVR4"
     "nO3MoQEAAAjDMOByTueIGUTqm97KmvAHAAAAAAAAAAAAAAAA8B44QHQBALYvz+QAAAAASUVORK5CYII="
 )
-"""64 x 64 pixels: some models take no smaller ones."""
+"""A PNG image of 64 x 64 pixels, because some models reject smaller ones."""
 
 
 @dataclass
 class _NotAnsweredError(Exception):
-    """An attempt that did not succeed."""
+    """A failed attempt."""
 
     failure: str
     """Kind of the fault, one word."""
     explanation: str
     """The fault in one sentence."""
     wait_s: float = 0.0
-    """How long the server wants to be left alone [s]."""
+    """Delay that the server demands before another attempt [s]."""
     gone: bool = False
-    """Whether that says nothing about this request."""
+    """Whether the failure is independent of this request."""
     again: bool = True
     """Whether another attempt may succeed."""
 
 
 class _NoRedirects(HTTPRedirectHandler):
-    """Follows no redirects: the key belongs to the server that was named."""
+    """Refuses redirects, so that another server does not get the key."""
 
     def redirect_request(self, *args: Any, **kwargs: Any) -> None:
         return None
 
 
 class ChatServer:
-    """Asks one server; may be used by several threads."""
+    """A client of one server, safe for several threads."""
 
     def __init__(
         self,
@@ -95,18 +96,18 @@ class ChatServer:
         waits_s: tuple[float, ...] | None = None,
         concurrency: int = 1,
     ) -> None:
-        """Keep the address and the key.
+        """Store the address and the key.
 
         Args:
             base_url: ``"http://127.0.0.1:8000/v1"``.
-            timeout_s: For an answer [s]. Some servers answer one request after the
-                other, so an attempt may take this times ``concurrency``.
-            waits_s: Before each further attempt [s]; :data:`WAITS_S` if None.
-            concurrency: Requests that the processes of this machine have under way at
-                a time.
+            timeout_s: Time limit for an answer [s]. Some servers answer requests
+                sequentially, so an attempt may take this times ``concurrency``.
+            waits_s: Delay before each further attempt [s]; :data:`WAITS_S` if None.
+            concurrency: Largest number of concurrent requests of all processes of this
+                machine.
 
         Raises:
-            InvalidConfigError: It is no address of that kind, or the key is no key.
+            InvalidConfigError: The address or the key is invalid.
         """
         check_address(base_url)
         self._key = secret_of(KEY_VARIABLE)
@@ -122,27 +123,28 @@ class ChatServer:
         self._opener = build_opener(_NoRedirects, *proxies)
 
     def ask(self, request: Mapping[str, Any]) -> Reply:
-        """Return the reply to a request; one that failed, if the request is to blame.
+        """Return the reply to a request; a failed one if the request is the cause.
 
-        A server that fails at a request is also asked an empty question in the same
-        form. If it fails at that as well, the request is not to blame.
+        After a failure the client sends an empty question in the same form. If that
+        fails, too, the cause is the server.
 
         Raises:
-            PlannerUnavailableError: Nobody answers there, or refuses everything.
+            PlannerUnavailableError: The server does not answer, or fails at all
+                requests.
         """
         reply = self._ask(request, self._waits_s)
         if reply.failure and self._ask(probe_of(request), ()).failure:
             raise PlannerUnavailableError(
                 f"{self._url} fails at every request, also at an empty question. "
-                f"{reply.explanation} Mend the server, or raise --timeout. If it does "
+                f"{reply.explanation} Fix the server, or raise --timeout. If it does "
                 "not know a field of the request, replace that with --extra-body, "
-                'where null leaves it out: --extra-body \'{"max_tokens": null, '
+                'where null removes it: --extra-body \'{"max_tokens": null, '
                 '"max_completion_tokens": 1024}\'. The same command then goes on.'
             )
         return reply
 
     def _ask(self, request: Mapping[str, Any], waits_s: tuple[float, ...]) -> Reply:
-        """Return the reply to a request, after a wait before each further attempt."""
+        """Return the reply to a request, with a delay before each further attempt."""
         body = json.dumps(request).encode()
         for wait_s in (*waits_s, None):
             try:
@@ -166,7 +168,7 @@ class ChatServer:
     def _slot(self) -> Iterator[None]:
         """Wait for one of the slots that the processes of this machine share.
 
-        Where no lock can be made, each process counts alone.
+        If no lock file can be created, each process limits only its own requests.
         """
         with self._here, ExitStack() as stack:
             with suppress(OSError, NotImplementedError):
@@ -176,7 +178,7 @@ class ChatServer:
             yield
 
     def _locked(self, folder: Path) -> FileLock:
-        """Return the lock of a free slot, which is held from now on."""
+        """Acquire and return the lock of a free slot."""
         while True:
             for number in range(self._slots):
                 lock = FileLock(folder / f"{number}.lock")
@@ -214,7 +216,7 @@ class ChatServer:
         )
 
     def _refused(self, error: HTTPError) -> Exception:
-        """Return what an answer with an HTTP status of failure means."""
+        """Return the exception for a response with an HTTP error status."""
         try:
             body = error.read(_CHUNK)
         except (OSError, http.client.HTTPException):
@@ -224,7 +226,7 @@ class ChatServer:
         if error.code in (408, 429) or error.code >= 500:
             after = error.headers.get("Retry-After", "")
             wait_s = float(after) if after.isdecimal() else 0.0
-            # 429 says nothing about the request: there were too many.
+            # 429, too many requests, is independent of this request.
             return _NotAnsweredError(RAISED, text, wait_s, gone=error.code == 429)
         if error.code in (400, 413, 422):
             return _NotAnsweredError(RAISED, text, again=False)
@@ -234,10 +236,10 @@ class ChatServer:
         )
 
     def _read_reply(self, body: bytes) -> Reply:
-        """Return the answer that a chat completion holds.
+        """Return the reply in a chat completion.
 
         Raises:
-            _NotAnsweredError: It is none.
+            _NotAnsweredError: The body is no chat completion.
         """
         try:
             found = json.loads(body)
@@ -271,7 +273,7 @@ def check_address(base_url: str) -> None:
     """Check the address of a chat server.
 
     Raises:
-        InvalidConfigError: It is none, or holds a password.
+        InvalidConfigError: The address is invalid, or contains a password.
     """
     try:
         parts = urlsplit(base_url)
@@ -289,7 +291,7 @@ def check_address(base_url: str) -> None:
 
 
 def probe_of(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a request in the same form whose question is empty."""
+    """Return a request of the same form with an empty question."""
     messages = request["messages"]
     parts = messages[1]["content"]
     content: Any = _EMPTY_QUESTION
@@ -302,7 +304,7 @@ def probe_of(request: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _without(secret: str, text: str) -> str:
-    """Return a text in which no usual spelling of a secret is left."""
+    """Return a text without a secret in its usual encodings."""
     if not secret:
         return text
     plain = json.dumps(secret)[1:-1]
@@ -324,7 +326,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _read_all(response: http.client.HTTPResponse, late: float) -> bytes:
-    """Return the body; a server that sends a byte now and then is late as well."""
+    """Return the body; the deadline is for the whole body, not for each read."""
     content = bytearray()
     while chunk := response.read1(_CHUNK):
         content += chunk
@@ -338,10 +340,10 @@ def _read_all(response: http.client.HTTPResponse, late: float) -> bytes:
 def _content_of(
     choice: Mapping[str, Any], message: Mapping[str, Any]
 ) -> tuple[str, str]:
-    """Return the text of an answer, and what is odd about it."""
+    """Return the text of an answer, and a remark if it is empty or incomplete."""
     content = message.get("content")
     if isinstance(content, list):
-        # Some servers send thoughts and text as parts of the content.
+        # Some servers send reasoning and text as parts of the content.
         texts = [part.get("text") for part in content if part.get("type") == "text"]
         content = "".join(text for text in texts if isinstance(text, str))
     content = content if isinstance(content, str) else ""

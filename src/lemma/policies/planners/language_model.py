@@ -1,4 +1,4 @@
-"""A language model as planner: one question per decision, answered with a sub-task."""
+"""A language model as planner: one question per decision, with a sub-task as answer."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,22 +35,22 @@ from lemma.policies.planners.prompts import (
 from lemma.tasks.subtask import STOP, SubTask
 
 MALFORMED = "malformed"
-"""Kind of fault of a model whose answers are no sub-tasks."""
+"""Kind of failure of a model whose answers are all invalid."""
 _LONGEST_MESSAGE = 500
 
 
 class Asker:
-    """Gets replies from a cassette, or from a server."""
+    """A source of replies: a cassette, a server, or both."""
 
     def __init__(self, options: ChatOptions, timeout_s: float) -> None:
-        """Prepare; nothing is read or asked yet.
+        """Prepare the sources, without reading or sending anything.
 
         Args:
-            options: Where replies come from.
-            timeout_s: For one attempt at a request [s].
+            options: Server and cassette.
+            timeout_s: Time limit of one attempt at a request [s].
 
         Raises:
-            InvalidConfigError: They can come from nowhere.
+            InvalidConfigError: There is neither a server nor a cassette.
         """
         self.mode = options.cassette_mode
         self.cassette = Cassette(options.cassette) if options.cassette else None
@@ -61,7 +61,7 @@ class Asker:
             )
         if self.cassette is None and (self.server is None or self.mode != "record"):
             raise InvalidConfigError(
-                "Nobody answers for the language model. Name a server with "
+                "The language model has no source of answers. Name a server with "
                 "--base-url http://HOST:PORT/v1, or a --cassette that has the answers."
             )
 
@@ -69,8 +69,8 @@ class Asker:
         """Return the reply to a request.
 
         Raises:
-            PlannerUnavailableError: It is in no cassette, and nobody may be asked or
-                answers.
+            PlannerUnavailableError: The reply is not on the cassette, and there is no
+                server, it must not be used, or it does not answer.
             DatasetError: The cassette is damaged, or cannot be written.
         """
         cassette, strict = self.cassette, self.mode == "strict"
@@ -91,7 +91,7 @@ class Asker:
 
 @dataclass
 class _Tally:
-    """The effort of a decision so far."""
+    """Replies and invalid answers of a decision so far."""
 
     replies: list[Reply] = field(default_factory=list)
     invalid: list[str] = field(default_factory=list)
@@ -103,7 +103,7 @@ class _Tally:
 
 
 class _GaveUpError(Exception):
-    """There is no decision: a kind of fault, and a sentence."""
+    """The model gave no decision: kind of failure and explanation."""
 
     def __init__(self, kind: str, explanation: str) -> None:
         super().__init__(explanation)
@@ -111,11 +111,11 @@ class _GaveUpError(Exception):
 
 
 class LanguageModelPlanner(Composite):
-    """Asks a language model.
+    """A planner that queries a language model.
 
-    Each decision is a conversation of its own, which depends on its input alone: the
-    rules, and the sentence, the table and the past as text. An answer that is no
-    sub-task is answered with the reason, and the model tries again.
+    Each decision is a separate conversation, which depends only on the input: the
+    rules, and the instruction, the scene and the past as text. After an invalid answer
+    the model gets the reason and tries again.
     """
 
     reads_outcomes = True
@@ -127,20 +127,21 @@ class LanguageModelPlanner(Composite):
         timeout_s: float = TIMEOUT_S,
         perception: Perception | None = None,
     ) -> None:
-        """Prepare; nothing is asked yet.
+        """Prepare the planner, without sending anything.
 
         Args:
-            model: Its name at the server.
-            options: How it is asked.
-            timeout_s: For one attempt at a request [s].
-            perception: Describes the table; by the options if None.
+            model: Name of the model at the server.
+            options: Options of the requests.
+            timeout_s: Time limit of one attempt at a request [s].
+            perception: Describes the scene; chosen by the options if None.
 
         Raises:
-            InvalidConfigError: It has no name, or nobody can be asked.
+            InvalidConfigError: The name is empty, or there is no source of replies.
         """
         if not model:
             raise InvalidConfigError(
-                "Which language model? Name it as its server does, as in llm:MODEL."
+                "The name of the language model is empty. Write llm:MODEL, with the "
+                "model's name at its server."
             )
         source = SeenPerception if options.perception == "seen" else TruthPerception
         self.perception: Perception = perception or source()
@@ -169,8 +170,8 @@ class LanguageModelPlanner(Composite):
         """Return the next sub-task of each episode.
 
         Raises:
-            PlannerUnavailableError: Nobody answers.
-            InvalidConfigError: An answer of the model is no sub-task.
+            PlannerUnavailableError: The server does not answer.
+            InvalidConfigError: The model gave no valid answer.
         """
         decided = self.propose(inputs)
         for decision in decided:
@@ -182,7 +183,7 @@ class LanguageModelPlanner(Composite):
         """Return the next decision of each episode, without poses, with its effort.
 
         Raises:
-            PlannerUnavailableError: Nobody answers.
+            PlannerUnavailableError: The server does not answer.
         """
         scenes = self.perception.look(inputs)
         with ThreadPoolExecutor(min(self._options.concurrency, len(inputs))) as pool:
@@ -191,8 +192,10 @@ class LanguageModelPlanner(Composite):
     def _decide(self, policy_input: PolicyInput, scene: SceneText) -> Decision:
         tally = _Tally()
         try:
-            subtask = self._ask_team(policy_input, scene, tally)
-            return Decision(subtask, None, effort=tally.effort())
+            subtask, reason = self._ask_team(policy_input, scene, tally)
+            # Words of a stop say what a policy refuses; others are of failures.
+            why = reason if subtask == STOP else ""
+            return Decision(subtask, None, why, effort=tally.effort())
         except _GaveUpError as error:
             return Decision(
                 STOP, None, str(error), failed=error.kind, effort=tally.effort()
@@ -200,10 +203,10 @@ class LanguageModelPlanner(Composite):
 
     def _ask_team(
         self, policy_input: PolicyInput, scene: SceneText, tally: _Tally
-    ) -> SubTask:
-        """Ask the one planner, or one robot after the other until one does something.
+    ) -> tuple[SubTask, str]:
+        """Query the planner of the team, or one robot after another until one acts.
 
-        Robots take turns in being asked first.
+        The first robot rotates from decision to decision.
         """
         team = robot_names(len(policy_input.robots))
         names = tuple(thing.name for thing in scene.objects)
@@ -219,17 +222,17 @@ class LanguageModelPlanner(Composite):
             text = question(policy_input, scene, robot, messages)
             said = self._converse(policy_input, answers, text, tally)
             if said.subtask is not None:
-                return said.subtask
+                return said.subtask, said.reason
             messages += ((robot, said.message[:_LONGEST_MESSAGE]),)
         raise AssertionError("the last one cannot wait")
 
     def _converse(
         self, policy_input: PolicyInput, answers: AnswerFormat, text: str, tally: _Tally
     ) -> Answer:
-        """Ask until an answer is valid.
+        """Query until an answer is valid.
 
         Raises:
-            _GaveUpError: None was, or the server gave none.
+            _GaveUpError: No answer was valid, or the server did not reply.
         """
         shown = pictures(policy_input) if self.cameras else []
         messages = messages_of(system_prompt(policy_input, answers), text, shown)
@@ -247,7 +250,7 @@ class LanguageModelPlanner(Composite):
                 reason = f"{error.kind}: {why}"
                 messages = [
                     *messages,
-                    # Some servers refuse an empty turn.
+                    # Some servers reject an empty turn.
                     {"role": "assistant", "content": reply.content or "(nothing)"},
                     {"role": "user", "content": correction(error.kind, why)},
                 ]

@@ -1,4 +1,4 @@
-"""The table as plain data, for planners that read: from the simulation or seen."""
+"""Scenes as plain data for text planners, from the simulation or from ReachNet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Oracle, PolicyInput
 from lemma.policies.oracle import truth_of
+from lemma.robots.hand import HANDS
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.entity import SHARED, STICK
 from lemma.tasks.drags import grasp_on_stick
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from lemma.policies.models.reachnet.scene_table import SceneTable
 
 WEIGHTS = "reachnet"
-"""The model that sees, and estimates what each robot reaches."""
+"""Weights of the model for perception and reach."""
 _RAISED_M = 0.01
 
 
@@ -36,38 +37,42 @@ class RobotText:
     """Position of its base along x [m]."""
     y: float
     reach_m: tuple[float, float]
-    """Radii around its base between which it grasps and carries [m]."""
+    """Smallest and largest radius around its base at which it works [m]."""
+    carries_kg: float | None = None
+    """Largest mass that it carries [kg]; None in a team of standard hands."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectText:
-    """An object of the table."""
+    """An object in the scene."""
 
     name: str
     x: float
-    """Position of its middle along x; for the stick, of its grasp [m]."""
+    """Position of its center along x; for the stick, of its grasp [m]."""
     y: float
     within: tuple[str, ...]
     """Robots that reach it."""
     state: str = ""
     """Its support and other facts: ``"on blue_pad"``."""
+    mass_kg: float | None = None
+    """Its mass, where that is not the usual one [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneText:
-    """A table as a planner reads it."""
+    """A scene as a planner reads it."""
 
     robots: tuple[RobotText, ...]
     objects: tuple[ObjectText, ...]
     lost: tuple[str, ...] = ()
-    """Names of objects that have fallen off."""
+    """Names of objects that have fallen off the table."""
 
 
 class Perception(Protocol):
-    """Describes the table."""
+    """Describes scenes."""
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode.
+        """Return the scene of each episode.
 
         Args:
             inputs: One per episode; at least one.
@@ -80,10 +85,10 @@ class TruthPerception(Oracle):
     """Oracle perception: positions are those of the simulation."""
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode.
+        """Return the scene of each episode.
 
         Raises:
-            InvalidConfigError: The inputs come without the truth.
+            InvalidConfigError: The inputs are no ``OracleInput``.
         """
         return [self._look(policy_input) for policy_input in inputs]
 
@@ -97,17 +102,20 @@ class TruthPerception(Oracle):
         ):
             reach = reach_of(placed.arm)
             radii = reach.inner_m, reach.travel_m
-            robots.append(RobotText(name, phrase, placed.base.x, placed.base.y, radii))
+            most_kg = placed.carries_kg if spec.other_hands else None
+            at = placed.base
+            robots.append(RobotText(name, phrase, at.x, at.y, radii, most_kg))
         objects = []
         for name, pose in now.poses.items():
             at = grasp_on_stick(pose) if name == STICK else pose
             within = tuple(r for r in spec.robot_names if geometry.reaches(r, at))
-            objects.append(ObjectText(name, at.x, at.y, within, _state(name, now)))
+            mass_kg, state = spec.placement(name).mass_kg, _state(name, now)
+            objects.append(ObjectText(name, at.x, at.y, within, state, mass_kg))
         return SceneText(tuple(robots), tuple(objects), now.fallen)
 
 
 def _state(name: str, now: SymbolicState) -> str:
-    """Return what is true of an object besides its place."""
+    """Return the facts about an object besides its position."""
     if name not in now.supports:
         return ""
     facts = [f"on the {now.supports[name]}"]
@@ -123,25 +131,25 @@ def _state(name: str, now: SymbolicState) -> str:
 
 
 class SeenPerception:
-    """Sees visible objects; hidden ones are listed where they were seen at first."""
+    """Perception with ReachNet; hidden objects keep their first visible position."""
 
     weights = (WEIGHTS,)
     """Published weights that it uses."""
 
     def __init__(self, model: "ReachNet | None" = None) -> None:
-        """Keep the model; weights are loaded when it is needed.
+        """Store the model; weights are loaded at the first use.
 
         Args:
-            model: The model that sees; the published one if None.
+            model: The model for perception; the published one if None.
         """
         self._model = model
 
     @cached_property
     def model(self) -> "ReachNet":
-        """The model that sees."""
+        """The model for perception."""
         if self._model is not None:
             return self._model
-        # torch is an extra, which other planners do without.
+        # torch is an optional dependency, which other planners do not need.
         from lemma.policies.models.reachnet.model import ReachNet  # noqa: PLC0415
         from lemma.policies.weights import load_model  # noqa: PLC0415
 
@@ -150,7 +158,7 @@ class SeenPerception:
         return model
 
     def look(self, inputs: Sequence[PolicyInput]) -> list[SceneText]:
-        """Return the table of each episode."""
+        """Return the scene of each episode."""
         return [self._look(policy_input) for policy_input in inputs]
 
     def _look(self, policy_input: PolicyInput) -> SceneText:
@@ -162,7 +170,9 @@ class SeenPerception:
         ):
             x, y = map(_metres, now.bases[0, number].tolist())
             inner, outer, _ = map(_metres, now.radii[0, number].tolist())
-            robots.append(RobotText(name, phrase, x, y, (inner, outer)))
+            hands = policy_input.hands
+            most_kg = HANDS[hands[number]].carries_kg if hands else None
+            robots.append(RobotText(name, phrase, x, y, (inner, outer), most_kg))
         objects = _objects(now, names, policy_input)
         if policy_input.past:
             seen = {thing.name for thing in objects}
@@ -175,9 +185,9 @@ class SeenPerception:
         return SceneText(tuple(robots), tuple(objects))
 
     def _table(self, policy_input: PolicyInput) -> "SceneTable":
-        """Return what is seen in one view.
+        """Return the perception of one view.
 
-        Views are not batched: that would change last bits, and with them prompts.
+        Views are not batched, because batching changes last bits, and so prompts.
         """
         from lemma.policies.batch import batch_of  # noqa: PLC0415
 
@@ -192,7 +202,7 @@ class SeenPerception:
 def _objects(
     table: "SceneTable", names: tuple[str, ...], policy_input: PolicyInput
 ) -> list[ObjectText]:
-    """Return what is seen on one table."""
+    """Return the perceived objects of one scene."""
     traits = table.traits
     margins = table.margins(table.xy)[0]
     grasp = table.margins(table.grasp[:, None])[0, :, 0]

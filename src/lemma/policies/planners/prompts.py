@@ -34,6 +34,10 @@ its end, it moves to "{shared}", and another takes it from there.
 lie on either.
 - Say stop when the task is done. Stopping too early is a failure.
 """
+_LOADS = """\
+- A robot lifts nothing that weighs more than it carries. Weights are told where they \
+are unusual; what has dark rims is heavy.
+"""
 _TOOLS = """\
 - The stick brings what no robot reaches. Who reaches the stick uses it, and may move \
 it to "{shared}" first for another. "prehook" lays the stick (pick) behind a cube \
@@ -59,7 +63,8 @@ know what they reach; they are asked after you if you wait, and read your messag
 
 def system_prompt(policy_input: PolicyInput, answers: AnswerFormat) -> str:
     """Return the rules, and the form of an answer."""
-    text = _TASK + (_TOOLS if answers.has_stick else "")
+    text = _TASK + (_LOADS if policy_input.hands else "")
+    text += _TOOLS if answers.has_stick else ""
     names = {
         field: " or ".join(json.dumps(name) for name in valid)
         for field, valid in answers.names.items()
@@ -97,6 +102,8 @@ def question(
         if speaker in ("", robot.name):
             near, far = robot.reach_m
             line += f", reaches from {near:.2f} to {far:.2f} m around it"
+            if robot.carries_kg is not None:
+                line += f", carries up to {robot.carries_kg:.1f} kg"
         lines.append(line)
     lines += ["", "Objects"]
     lines += [_line_of(thing, speaker) for thing in scene.objects]
@@ -116,11 +123,13 @@ def _line_of(thing: ObjectText, speaker: str) -> str:
     else:
         reach = f"reached by {' and '.join(thing.within) or 'no robot'}"
     state = f", {thing.state}" if thing.state else ""
+    if thing.mass_kg is not None:
+        state += f", weighs {thing.mass_kg:.1f} kg"
     return f"- {thing.name} at {_at(thing.x, thing.y)}{state}, {reach}"
 
 
 def _at(x: float, y: float) -> str:
-    # Without a minus before what rounds to zero.
+    # Adding 0.0 avoids "-0.00".
     return f"({round(x, 2) + 0.0:.2f}, {round(y, 2) + 0.0:.2f})"
 
 

@@ -1,8 +1,8 @@
-"""Planners by name: those that ship, among them rules, and those of plugins.
+"""Planners by name: those of the package and of plugins.
 
-Rules have no model; language models are compared with them. All of them get the
-simulation's state. Chance comes from hashes of the instance and the number of the
-decision, so that it is the same on every machine and in every order.
+Rules are baselines without a model for language models. All of them get the
+simulation's state. Their random numbers are hashes of the instance and the number of
+the decision, so they are the same on every machine and in every order.
 """
 
 import hashlib
@@ -26,53 +26,53 @@ from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import STOP, SubTask
 
 NO_CHAT = ChatOptions()
-"""Options of planners that ask nobody."""
+"""Options of planners that use no language model."""
 
 
 @dataclass(frozen=True)
 class PlannerRecord:
-    """How a planner of a name is made.
+    """How to create a planner from its name.
 
     A planner that needs the simulation's state is derived from
-    :class:`lemma.policies.interfaces.Oracle`. Attributes say whether it reads outcomes
-    (``reads_outcomes``), needs no images (``blind``) or the images of the cameras
-    (``cameras``); ``about`` is written into ``about.json``.
+    :class:`lemma.policies.interfaces.Oracle`. Boolean attributes state whether it reads
+    outcomes (``reads_outcomes``), needs no images (``blind``) or needs the images of
+    the cameras (``cameras``). The attribute ``about`` is written into ``about.json``.
     """
 
     make: Callable[[str, ChatOptions, float], Planner]
-    """Makes it from the text after the colon of its name, the options of language
-    models, and the time for a request [s]. It is called often, so slow work, such as
-    loading weights, should wait until the planner is asked."""
+    """Creates the planner from the text after the colon of its name, the options of
+    language models, and the time limit of a request [s]. It is called often, so slow
+    work, such as loading weights, should wait until the first plan."""
     asks: bool = False
     """Whether it uses the options of language models."""
 
 
 PLANNERS: Registry[PlannerRecord] = Registry("planner", PlannerRecord)
-"""Every planner without weights of ours, by the name before the colon."""
+"""Planners without trained weights, by the name before the colon."""
 
 
 def is_planner(part: str) -> bool:
-    """Whether a part of a policy's name means a planner of :data:`PLANNERS`."""
+    """Return whether a part of a policy's name is a planner of :data:`PLANNERS`."""
     return "://" not in part and part.partition(":")[0] in PLANNERS
 
 
 def asks_model(part: str) -> bool:
-    """Whether a part of a policy's name means a planner that asks a language model."""
+    """Return whether a part of a policy's name is a planner with a language model."""
     return is_planner(part) and PLANNERS[part.partition(":")[0]].asks
 
 
 def make_planner(
     part: str, options: ChatOptions | None = None, timeout_s: float = 0.0
 ) -> Any:
-    """Return the planner that a part of a policy's name means.
+    """Create a planner from its part of a policy's name.
 
     Args:
         part: ``"greedy-reach"``, ``"noisy-oracle:0.2"``, ``"llm:MODEL"``.
-        options: How language models are asked.
-        timeout_s: For a request [s].
+        options: Options of requests to language models.
+        timeout_s: Time limit of a request [s].
 
     Raises:
-        LemmaError: There is none of that name, or it cannot be made so.
+        LemmaError: There is no planner of that name, or the options are invalid.
     """
     name, colon, argument = part.partition(":")
     if colon and not argument and not PLANNERS[name].asks:
@@ -83,7 +83,7 @@ def make_planner(
 
 
 class _Draws:
-    """Numbers of one decision."""
+    """Random numbers of one decision, from hashes."""
 
     def __init__(self, what: str, seed: int, policy_input: PolicyInput) -> None:
         key = truth_of(policy_input).instance.key
@@ -95,13 +95,13 @@ class _Draws:
         return int.from_bytes(digest[:16]) % count
 
     def share(self) -> float:
-        """Return a number from 0 to 1, without 1."""
+        """Return a number in [0, 1)."""
         digest = hashlib.sha256(f"{self._key} share".encode()).digest()
         return int.from_bytes(digest[:6]) / 2**48
 
 
 def _valid_answers(episode: Episode) -> list[SubTask]:
-    """Return every valid answer at the present table."""
+    """Return every valid answer in the present scene."""
     spec = episode.simulation.scene.spec
     on_table = (name for name in spec.object_names if name not in episode.fallen)
     return AnswerFormat(spec.robot_names, tuple(on_table)).every_subtask()
@@ -109,7 +109,7 @@ def _valid_answers(episode: Episode) -> list[SubTask]:
 
 @dataclass(frozen=True)
 class RandomValidPlanner(Oracle):
-    """Answers any possible sub-task, ``stop`` among them."""
+    """Chooses a random possible sub-task or ``stop``."""
 
     seed: int = 0
 
@@ -128,9 +128,9 @@ class RandomValidPlanner(Oracle):
 
 @dataclass(frozen=True)
 class NoisyOraclePlanner(Oracle):
-    """Answers as the expert does, but errs with a probability.
+    """The expert's planner with a probability of error.
 
-    A wrong answer is any other possible sub-task.
+    A wrong decision is a random other possible sub-task.
     """
 
     error_rate: float = 0.1
@@ -143,7 +143,7 @@ class NoisyOraclePlanner(Oracle):
         """Check the rate."""
         if not 0.0 <= self.error_rate <= 1.0:
             raise InvalidConfigError(
-                f"An oracle that errs with probability {self.error_rate}? Valid: from "
+                f"The error rate of the noisy oracle is {self.error_rate}. Valid: from "
                 "0 to 1, as in noisy-oracle:0.1."
             )
 
@@ -168,11 +168,11 @@ class NoisyOraclePlanner(Oracle):
 
 @dataclass(frozen=True)
 class GreedyReachPlanner(Oracle):
-    """Looks one sub-task ahead, and goes by reach.
+    """A greedy planner with a horizon of one sub-task.
 
-    Among the sub-tasks that a robot can do now about the pairs that do not hold, it
-    takes one that makes a pair hold; else the one farthest inside of reach. It repeats
-    no sub-task that has succeeded, and stops where none is left.
+    It considers the sub-tasks that a robot can do now for pairs that do not hold. It
+    prefers one that makes a pair hold; otherwise it takes the one with the largest
+    reach margin. It repeats no successful sub-task, and stops if none is left.
     """
 
     blind = True
@@ -187,7 +187,7 @@ class GreedyReachPlanner(Oracle):
         goal = episode.instance.goal
         now = SymbolicState.observe(episode.simulation.scene)
         fallen = any(name in now.fallen for name in goal.entities)
-        # A symbolic state does not know what a hand is over.
+        # A symbolic state does not represent goals of hands, so check the scene.
         if fallen or goal.progress(episode.simulation.scene) == 1.0:
             return STOP
         geometry = GeometricGrounder(now.spec)

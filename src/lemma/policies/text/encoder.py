@@ -1,9 +1,9 @@
-"""Text as tokens for the networks: plain English in, vectors out.
+"""Encoding of English texts as tokens for the networks.
 
-Texts are rows of numbers: words, marks, and which names are of one color. With names,
-colors of things are no words. All of them are the same token, and a row says besides
-which of them are one color, so that what is learned of red holds for all. Things that
-come in one color only are found by their nouns.
+A text is rows of numbers: words, punctuation, and groups of names of the same color. If
+a reader has names, all colors of entities are the same token, and the group tells the
+colors apart, so that training on one color generalises to all. Entities that exist in
+one color only are recognised by their nouns.
 """
 
 import re
@@ -37,29 +37,29 @@ _REMEMBERED = 100_000
 
 
 class Sentences(NamedTuple):
-    """Several sentences, padded behind to one length L."""
+    """B sentences, padded at the end to the same length L."""
 
     numbers: Tensor
     """Number of each word, (B, L) int64."""
     rows: Tensor
-    """Row of its vector, (B, L) int64; 0 for none."""
+    """Row of each word in the pretrained vectors, (B, L) int64; 0 for none."""
     names: Tensor
-    """Group of entities that it may name, (B, L) int64; -1 for none."""
+    """Group of entities that each word may name, (B, L) int64; -1 for none."""
 
     @property
     def mask(self) -> Tensor:
-        """Where words are, (B, L) bool."""
+        """True for words, False for padding, (B, L) bool."""
         return self.numbers != PADDING
 
 
 Texts = Sequence[str] | Sentences
-"""Texts, or what a reader has made of them before."""
+"""Texts, or texts that a :class:`SentenceReader` has converted."""
 
 
 def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
-    """Return the group of each entity but the stick, and each group's words.
+    """Return the group of each entity except the stick, and the group of each word.
 
-    Things of one color are a group; what has no color is one of its own.
+    Entities of one color are a group; each entity without color is its own group.
     """
     groups: list[int] = []
     numbers: dict[str, int] = {}
@@ -73,15 +73,15 @@ def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
 
 
 class SentenceReader:
-    """Turns texts into numbers; typing errors are put right."""
+    """Converts texts to numbers and corrects typing errors."""
 
     def __init__(self, longest: int, entities: EntitySet | None = None) -> None:
         """Read the vocabulary.
 
         Args:
-            longest: Words behind these are not read.
-            entities: Things that may be named. Without them there are words alone: no
-                marks and no names; and a text without words is one unknown word.
+            longest: Largest number of words; later words are not read.
+            entities: Entities that texts may name. If None, only words are read, no
+                punctuation and no names, and a text without words is one unknown word.
         """
         self.groups = groups_of(entities)[1] if entities else None
         self.longest = longest
@@ -90,16 +90,16 @@ class SentenceReader:
         self._known: dict[str, list[tuple[int, int, int]]] = {}
 
     def __len__(self) -> int:
-        """Return how many numbers there are."""
+        """Return the size of the vocabulary."""
         return len(self.vocabulary) if self.groups is None else self.name + 1
 
     def read(self, texts: Texts, device: torch.device) -> Sentences:
-        """Return texts as numbers; with names, one without words is padding alone."""
+        """Return texts as numbers; with names, a text without words is all padding."""
         if isinstance(texts, Sentences):
             return texts
         numbers = torch.tensor([self._read(text) for text in texts])
         if device.type == "cpu":
-            # Elsewhere one shape for all is faster than a small one.
+            # On a GPU a fixed shape is faster than short sentences.
             longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
             numbers = numbers[:, :longest]
         return Sentences(*numbers.to(device).unbind(2))
@@ -136,7 +136,7 @@ class SentenceReader:
 
 
 TextKind = Literal["words", "words+vectors"]
-"""Kinds of encoders."""
+"""Kinds of text encoders."""
 
 
 @dataclass(frozen=True)
@@ -153,19 +153,20 @@ class TextConfig:
     heads: Depth = 4
     """Number of heads of the attention."""
     max_words: Count = 40
-    """Words behind these are not read."""
+    """Largest number of words; later words are not read."""
     dropout: Share = 0.1
-    """Share of values that are left out in training."""
+    """Probability of dropout in training."""
     word_dropout: Share = 0.1
-    """Share of words that are unknown in training; colors of objects always are
-    known, because nothing else could tell them."""
+    """Share of words that are replaced by the unknown word in training; never colors of
+    objects."""
     embedding_dropout: Share = 0.5
-    """Share of words whose learned embedding is left out in training, so that their
-    vectors must do; of ``words+vectors`` only, and never of colors."""
+    """Share of words without their learned embedding in training, so that the model
+    learns to use the pretrained vectors; only for words+vectors, and never for
+    colors."""
 
 
 class WordEmbedding(nn.Module):
-    """One token per word: what training learns of it, and what English means by it."""
+    """One token per word: a learned embedding and, optionally, a pretrained vector."""
 
     vectors: Tensor
 
@@ -173,9 +174,9 @@ class WordEmbedding(nn.Module):
         """Make the weights.
 
         Args:
-            sentences: Gives words their numbers.
+            sentences: Reader with the vocabulary.
             width: Width of a token.
-            meaning: Whether pretrained vectors are added.
+            meaning: Whether to add pretrained vectors.
         """
         super().__init__()
         self.sentences = sentences
@@ -193,8 +194,8 @@ class WordEmbedding(nn.Module):
 
         Args:
             sentences: The words.
-            dropped: Words that are unknown, (B, L) bool.
-            bare: Words shown only by their pretrained vector, (B, L) bool.
+            dropped: Words to treat as unknown, (B, L) bool.
+            bare: Words without their learned embedding, (B, L) bool.
         """
         learned: Tensor = self.embedding(
             sentences.numbers.masked_fill(dropped | bare, UNKNOWN)
@@ -205,11 +206,11 @@ class WordEmbedding(nn.Module):
         return vectors.masked_fill(dropped.unsqueeze(2), 0.0) + learned
 
     def drawn(self, spared: Tensor, share: float) -> Tensor:
-        """Return which words are left out: none but in training.
+        """Draw the words to drop in training, (B, L) bool; none at inference.
 
         Args:
-            spared: Words that never are, (B, L) bool.
-            share: Share of the others.
+            spared: Words that are never dropped, (B, L) bool.
+            share: Share of the other words to drop.
         """
         if not (self.training and share):
             return torch.zeros_like(spared)
@@ -247,12 +248,12 @@ class TextEncoder(WordEmbedding):
         self.norm = nn.LayerNorm(config.width)
 
     def encode(self, texts: Texts) -> tuple[Tensor, Tensor]:
-        """Return tokens (B, L, width), and which of them are words, (B, L) bool.
+        """Return tokens (B, L, width), and the mask of words, (B, L) bool.
 
-        There is at least one: a text without words is one unknown word.
+        Each row has at least one word: a text without words is one unknown word.
 
         Args:
-            texts: One per row; upper case, punctuation and typing errors are fine.
+            texts: One per row; upper case, punctuation and typing errors are allowed.
         """
         sentences = self.sentences.read(texts, self.places.device)
         mask, spared = sentences.mask, self.known[sentences.numbers]
@@ -284,9 +285,9 @@ _OWN = re.compile(
 
 
 def resolved(text: str) -> str:
-    """Return a text in which "the pad of its own color" has the color's name.
+    """Replace phrases such as "the pad of its own color" by the name of the color.
 
-    Only where one color is named in all, so that there is no doubt.
+    Only texts with exactly one color are changed; in others the phrase is ambiguous.
     """
     colors = set(_COLORS_NAMED.findall(text.lower()))
     if len(colors) != 1:

@@ -1,8 +1,8 @@
-"""Sentences that ask for a goal, made by rules: ``data/grammar.toml``.
+"""A grammar that generates instructions for a goal: ``data/grammar.toml``.
 
-The rules are about roles. A verb, a preposition or its inverse, a passive, or the order
-of a tower says which of two things is the top, in one sentence or in several. Things
-are named in full, by their color alone or as *the other one*.
+The rules use roles, top and bottom. A verb, a preposition or its inverse, a passive, or
+the order of a tower determines which of two objects is the top, in one or several
+sentences. Objects have their full name, their color alone, or *the other one*.
 """
 
 import re
@@ -30,7 +30,7 @@ _FORMS = {"s": 1, "ing": 2, "ed": 3}
 _INFLECTED = ("verbs", "sits", "holds", "takes", "reaches")
 _PER_FORM = len(_FORMS) + 1
 _STYLES = ("full",) * 9 + ("mixed",) * 6 + ("short",) * 3 + ("bare", "bare", "foreign")
-"""How things are named in a sentence."""
+"""Styles of names of objects in a sentence, to draw from."""
 _NAMES = (
     *("the {n} that is {c}", "the {n} which is {c}", "the {c} colored {n}"),
     *("the {c} coloured {n}", "the {n} in {c}", "the {n} of {c} color"),
@@ -54,15 +54,15 @@ _Part = str | re.Match[str]
 
 @dataclass(frozen=True)
 class _Rule:
-    """Alternative texts for a name."""
+    """Alternative expansions of a rule."""
 
     options: tuple[tuple[_Part, ...], ...]
     upto: tuple[float, ...]
-    """Chance of an option or of one before it."""
+    """Cumulative probability of the options."""
 
 
 class Grammar:
-    """Rules that make sentences."""
+    """A grammar of instructions."""
 
     def __init__(
         self, rules: Mapping[str, Sequence[str]], without: Collection[str] = ()
@@ -70,8 +70,8 @@ class Grammar:
         """Read the rules.
 
         Args:
-            rules: Texts by name.
-            without: Names that are left out, and all texts that speak of them.
+            rules: Texts by name of the rule.
+            without: Names of rules to leave out, with all texts that refer to them.
         """
         self.rules = {
             name: _rule([text for text in texts if not _names(text) & set(without)])
@@ -84,25 +84,25 @@ class Grammar:
         self.words = tuple(sorted({word for line in bare for word in words(line)}))
 
     def say(self, goal_pairs: GoalPairs, rng: np.random.Generator) -> str:
-        """Return a sentence that asks for a goal.
+        """Return an instruction for a goal.
 
         Args:
             goal_pairs: One or two (top, bottom) pairs of entities.
-            rng: Where all draws come from.
+            rng: Random generator.
         """
         return _Speaker(self.rules, goal_pairs, rng).sentence()
 
 
 @cache
 def grammar() -> Grammar:
-    """Return the rules that come with the package."""
+    """Return the grammar of the package."""
     source = files("lemma.policies.text") / "data" / "grammar.toml"
     sections = tomllib.loads(source.read_text(encoding="utf-8"))
     return Grammar({k: v for section in sections.values() for k, v in section.items()})
 
 
 def speaks_of(goal_pairs: GoalPairs) -> bool:
-    """Whether the rules can say a goal: one or two cubes, each on a pad or a cube."""
+    """Return whether the grammar covers a goal: one or two cubes on pads or cubes."""
     kinds = {(kind_of(top).name, kind_of(bottom).name) for top, bottom in goal_pairs}
     return len(goal_pairs) <= 2 and kinds <= {("cube", "pad"), ("cube", "cube")}
 
@@ -128,7 +128,7 @@ def _rule(texts: Sequence[str]) -> _Rule:
 
 
 class _Speaker:
-    """One sentence in the making: what it has settled, and what it has named."""
+    """State of the generation of one sentence: its choices and mentioned objects."""
 
     def __init__(
         self, rules: dict[str, _Rule], goal_pairs: GoalPairs, rng: np.random.Generator
@@ -147,22 +147,22 @@ class _Speaker:
         self.named: set[Entity] = set()
 
     def sentence(self) -> str:
-        """Return the sentence, with spaces before no punctuation."""
+        """Return the sentence, without spaces before punctuation."""
         text = self.make("one" if len(self.pairs) == 1 else "two")
         return _SPACES.sub("", text).strip(" ,;")
 
     def draw(self) -> float:
-        """Return a number from 0 to 1."""
+        """Return a random number in [0, 1)."""
         if not self.draws:
             self.draws = self.rng.random(64).tolist()
         return self.draws.pop()
 
     def of(self, options: Sequence[str]) -> str:
-        """Return one of several texts; nothing is drawn for a single one."""
+        """Return one of several texts; a single text needs no draw."""
         return options[int(self.draw() * len(options)) if len(options) > 1 else 0]
 
     def make(self, name: str, pair: int = 0, form: int = 0) -> str:
-        """Return a text for a name."""
+        """Return an expansion of a rule."""
         if name[0] == "w" and name in ("wcube", "wcubes", "wbottom", "wbottoms"):
             kind = "cube" if "cube" in name or self.on_cubes else "pad"
             return self.nouns[kind] + "s" * name.endswith("s")
@@ -176,7 +176,7 @@ class _Speaker:
         return "".join([self.part(part, pair) for part in option])
 
     def part(self, part: _Part, pair: int) -> str:
-        """Return the text of a part of a rule."""
+        """Return the expansion of a part of a rule."""
         if isinstance(part, str):
             return part
         name, form, tag, of, role, which, bare = part.groups()
@@ -190,21 +190,21 @@ class _Speaker:
         pair = int(of) - 1 if of else pair
         if tag is None:
             return self.make(name, pair, _FORMS.get(form, 0))
-        # Both relations are said in the same words.
+        # Both relations of a sentence use the same words.
         key = (name, form, tag)
         if key not in self.chosen:
             self.chosen[key] = self.make(name, pair, _FORMS.get(form, 0))
         return self.chosen[key]
 
     def mention(self, entity: Entity) -> str:
-        """Return a name for an entity, shorter ones where its kind is clear."""
+        """Return a name for an entity, without the noun if its kind is clear."""
         kind, style = entity.kind, self.style
         known = any(other.kind is kind for other in self.named)
         again = entity in self.named
         self.named.add(entity)
         draw = self.draw()
         forms: Sequence[str]
-        # The noun is left out more often with two cubes than with a cube and a pad.
+        # Omit the noun more often for two cubes than for a cube and a pad.
         if style == "bare" and (kind.cargo or draw < 0.4):
             forms = _BARE if self.on_cubes and draw >= 0.6 else _COLOR
         elif (style == "mixed" and known and draw < 0.65) or (again and draw < 0.3):
@@ -222,7 +222,7 @@ class _Speaker:
         return self.of(forms).format(c=entity.color)
 
     def other(self) -> str:
-        """Return a name for something that the goal does not ask for."""
+        """Return a name for an object that is not in the goal."""
         meant = {(e.color, e.kind.name) for pair in self.pairs for e in pair}
         for _ in range(20):
             color, kind = self.of(BENCHMARK_COLORS), self.of(("cube", "pad"))

@@ -1,9 +1,9 @@
 """Paraphrases of the training templates.
 
-Some eighty templates are few: a network memorises them and does not understand others.
-So their parts are recombined: another template's name for a cube, two short sentences
-for a goal of two towers, clauses without meaning added or left out. Other sentences are
-made by rules, see :mod:`lemma.policies.text.grammar`. None is a held-out template.
+A network memorises some eighty templates and does not generalise to others. So their
+parts are recombined: another template's name for a cube, two short sentences for a goal
+of two towers, clauses without meaning added or left out. Other sentences come from the
+grammar in :mod:`lemma.policies.text.grammar`. None is a held-out template.
 """
 
 import re
@@ -47,36 +47,36 @@ _PIECE = re.compile(r"[a-z]+(?:['-][a-z]+)*|\d|[^\sa-z\d]+")
 _JOINTS = (" and ", ", and ", ". ", ", ", ", then ", ". then ", ", and then ")
 _PAIRS = ({"top", "bottom"}, {"top1", "bottom1"}, {"top2", "bottom2"})
 _SHORT = 16
-"""Words of the longest sentence that is joined with another."""
+"""Largest number of words of a sentence that is joined with another."""
 
 
 CHANCES: Mapping[str, float] = {
-    # Of a sentence from the rules of a grammar, without any template.
+    # A sentence from the grammar, without a template.
     "ruled": 0.65,
-    # Of a sentence of the task, as it stands, but for single words.
+    # A template of the task without recombination.
     "native": 0.3,
-    # Of inverting each relation: the lower object under the upper.
+    # Inverting a relation: the lower object under the upper.
     "turned": 0.3,
-    # Of beginning with the place: on the pad goes the cube.
+    # Beginning with the place: on the pad goes the cube.
     "fronted": 0.2,
-    # Of another name for a thing, each time it is mentioned.
+    # Another name for an object, at each mention.
     "renamed": 0.6,
-    # Of leaving out a clause that mentions nothing.
+    # Leaving out a clause without a mention.
     "clause_dropped": 0.4,
-    # Of adding such a clause of another template.
+    # Adding such a clause of another template.
     "clause_added": 0.25,
-    # Of replacing each word but colors by a similar English word.
+    # Per word other than colors: replacing it by a similar English word.
     "swapped": 0.15,
-    # Of leaving out a word, for each but colors.
+    # Per word other than colors: leaving it out.
     "left_out": 0.03,
-    # Of any English word in its place, for each but colors.
+    # Per word other than colors: replacing it by a random English word.
     "strange": 0.02,
-    # Of a typing error, for each but colors.
+    # Per word other than colors: a typing error.
     "mistyped": 0.01,
-    # Of a sentence without punctuation.
+    # Leaving out the punctuation.
     "unmarked": 0.2,
 }
-"""How far sentences are taken apart."""
+"""Probabilities of the changes to a sentence."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class _Sentence:
     pieces: tuple[str, ...]
     roles: tuple[str, ...]
     said: tuple[str, ...]
-    """The mentions as the template writes them, with a slot for the color."""
+    """The mentions in the template, with a slot for the color."""
 
 
 def paraphrase(
@@ -97,19 +97,18 @@ def paraphrase(
     taught: Sequence[Template] = (),
     rules: Grammar | None = None,
 ) -> str:
-    """Return a sentence that asks for a goal, put together from training templates.
+    """Return an instruction for a goal, recombined from training templates.
 
     Args:
-        task: Name of the task, whose own templates come first.
+        task: Name of the task; its own templates are preferred.
         goal_pairs: One or two (top, bottom) pairs of entities.
-        rng: Where all draws come from.
-        chances: How far sentences are taken apart, as :data:`CHANCES`.
-        taught: The only templates to use; all that training may see if empty.
-        rules: Rules of the sentences made without templates; those that come with the
-            package if None.
+        rng: Random generator.
+        chances: Probabilities of the changes, as :data:`CHANCES`.
+        taught: Templates to use; all training templates if empty.
+        rules: Grammar of the sentences without a template; that of the package if None.
     """
     used = tuple(taught) or None
-    # A hand has no noun, and no rule speaks of it: such sentences are only made noisy.
+    # A hand has no noun, and the grammar does not cover it: only add noise.
     held = any(HAND in pair for pair in goal_pairs)
     if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
@@ -137,12 +136,12 @@ def paraphrase(
 
 
 def _one(options: Sequence[T], rng: np.random.Generator) -> T:
-    """Return one of several options, each as likely."""
+    """Return one of several options, with equal probability."""
     return options[int(rng.integers(len(options)))]
 
 
 def _ruled(goal_pairs: GoalPairs, rng: np.random.Generator, rules: Grammar) -> str:
-    """Return a sentence by the rules that no held-out template says."""
+    """Return a sentence of the grammar that is no held-out template."""
     while True:
         text = rules.say(goal_pairs, rng)
         wording = ("*" if word in OBJECT_COLORS else word for word in words(text))
@@ -165,17 +164,17 @@ def _say(
     rng: np.random.Generator,
     chances: Mapping[str, float],
 ) -> str:
-    """Return a sentence about a goal, whose things may be of other kinds."""
+    """Return a sentence with a goal's entities, whose kinds may differ from its own."""
     entities: dict[str, Entity] = {}
     for number, pair in enumerate(goal_pairs, 1):
-        # A sentence of one pair does not number its roles.
+        # Roles have numbers only in sentences of two pairs.
         suffix = number if sentence.roles[-1][-1].isdigit() else ""
         for role, name in zip(("top", "bottom"), pair, strict=True):
             entities[f"{role}{suffix}"] = entity_named(name)
     sentence = _turned(sentence, rng, chances["turned"])
     if rng.random() < chances["fronted"]:
         sentence = _fronted(sentence)
-    # One name for each role throughout, in most sentences.
+    # Most sentences use one noun per role.
     nouns = {role: _one(entity.kind.nouns, rng) for role, entity in entities.items()}
     text, mentioned = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
@@ -194,7 +193,7 @@ def _say(
 
 
 def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Sentence:
-    """Return a sentence in which some "x on y" have become "y under x", or back."""
+    """Return a sentence with some "x on y" inverted to "y under x", or vice versa."""
     pieces, roles = list(sentence.pieces), list(sentence.roles)
     for i in range(1, len(roles)):
         first, second = roles[i - 1 : i + 1]
@@ -214,7 +213,7 @@ def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Se
 
 
 def _fronted(sentence: _Sentence) -> _Sentence:
-    """Return "on y put x" for "put x on y", if a sentence is no more than that."""
+    """Return "on y put x" for a sentence "put x on y", and others unchanged."""
     found = _RELATION.search(sentence.pieces[1])
     if len(sentence.roles) != 2 or found is None:
         return sentence
@@ -225,7 +224,7 @@ def _fronted(sentence: _Sentence) -> _Sentence:
 
 
 def noisy(text: str, rng: np.random.Generator, chances: Mapping[str, float]) -> str:
-    """Return a text in lower case with words left out, exchanged or mistyped."""
+    """Return a text in lower case with words left out, replaced or mistyped."""
     pieces = _PIECE.findall(text.lower())
     draws = rng.random((len(pieces) + 1, 2)).tolist()
     marked = draws.pop()[0] >= chances["unmarked"]
@@ -255,7 +254,7 @@ def _clauses(text: str) -> list[str]:
 
 @cache
 def _own(task: str, used: tuple[Template, ...] | None) -> tuple[Template, ...]:
-    """Return a task's templates; its high-level one as often as three human ones."""
+    """Return a task's templates, with its high-level one repeated as three entries."""
     bank = bank_for(task)
     found = (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
     return tuple(t for t in found if used is None or t in used)

@@ -1,9 +1,9 @@
-"""English words: their meanings as vectors, and the numbers of those of training.
+"""Pretrained vectors of English words, and the vocabulary of training.
 
-``scripts/make_word_vectors.py`` made the vectors, which training does not change:
-all-MiniLM-L6-v2 on single words, in the space that the words of training span. There a
-word that training never sees lies near those of a similar meaning, *beneath* near
-*under*. Typing errors are put right.
+The vectors are fixed. ``scripts/make_word_vectors.py`` made them: all-MiniLM-L6-v2 on
+single words, projected onto the span of the training vocabulary. There, a word that is
+not in the training data is near words of similar meaning, such as *beneath* near
+*under*. Typing errors are corrected.
 """
 
 from collections.abc import Iterable
@@ -19,33 +19,33 @@ from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import vocabulary, words
 
 PADDING = 0
-"""Number of no word."""
+"""Number of padding."""
 UNKNOWN = 1
-"""Number of every word that training never sees."""
+"""Number of all words outside of the training vocabulary."""
 
 _SHORT = 6
-"""Letters of the longest word in which one error is put right, not two."""
+"""Words up to this length may have one corrected error, longer ones two."""
 _SHORTEST = 4
-"""Letters of the shortest word that can be told from another real word."""
+"""Shorter words are not corrected, because they may be other real words."""
 NEAR = 0.4
-"""Cosine of the angle between words of similar meaning, at least."""
+"""Smallest cosine similarity of words with similar meaning."""
 _OPPOSITES = {"above": "below"}
-"""Words that are near the word of training that means their opposite."""
+"""Words whose vector is near the training word of opposite meaning."""
 _MOST = 12
-"""Words that are offered in another's place."""
+"""Largest number of similar words for a word."""
 
 
 @dataclass(frozen=True, eq=False)
 class WordVectors:
-    """English words, the most of them with a vector."""
+    """English words, most of them with a vector."""
 
     words: tuple[str, ...]
     """All words of the list, sorted, with or without a vector."""
     rows: dict[str, int]
     """Row of the vectors for each word that has one."""
     vectors: FloatArray
-    """(rows, D) float32, no longer than 1; row 0 is all zero, for other words. The
-    shorter, the less a word has to do with those of training."""
+    """(rows, D) float32 with norms up to 1; row 0 is zero, for words without a vector.
+    The norm is smaller for words that are less related to the training vocabulary."""
 
     def row(self, word: str) -> int:
         """Return the row of a word, 0 if it has none."""
@@ -54,7 +54,7 @@ class WordVectors:
 
 @cache
 def word_vectors() -> WordVectors:
-    """Return the vectors that come with the package."""
+    """Return the vectors of the package."""
     source = files("lemma.policies.text") / "data" / "word_vectors.npz"
     with source.open("rb") as file, np.load(file) as data:
         words = tuple(bytes(data["words"]).decode("ascii").split("\n"))
@@ -68,10 +68,10 @@ def word_vectors() -> WordVectors:
 
 
 def neighbours(word: str) -> tuple[str, ...]:
-    """Return English words that mean much the same as a word of training.
+    """Return English words that are similar to a word of the training vocabulary.
 
-    None of them is seen in training, and each is closer to this word than to any
-    other that is: *top* and *bottom* are near, yet neither stands for the other.
+    None of them is in the training vocabulary, and for each this word is the closest
+    one in it. So *top* does not replace *bottom*, although both are close.
 
     Args:
         word: In lower case.
@@ -100,14 +100,14 @@ def _neighbours() -> dict[str, tuple[str, ...]]:
 
 
 class Vocabulary:
-    """The words that training sees, numbered from 2."""
+    """The training vocabulary, numbered from 2."""
 
     def __init__(self, english: Iterable[str] = ()) -> None:
         """Number the words of :func:`lemma.tasks.language.bank.vocabulary`.
 
         Args:
-            english: Other words that are not taken for typing errors: ``"rod"`` is
-                not ``"red"``.
+            english: Other words that are no typing errors: ``"rod"`` does not become
+                ``"red"``.
         """
         self.words = tuple(sorted({*vocabulary(), *grammar().words}))
         self.numbers = {word: i for i, word in enumerate(self.words, UNKNOWN + 1)}
@@ -118,15 +118,15 @@ class Vocabulary:
         self.corrected = lru_cache(maxsize=65536)(self._corrected)
 
     def __len__(self) -> int:
-        """Return how many numbers there are, with padding and unknown."""
+        """Return the size of the vocabulary, including padding and unknown."""
         return len(self.words) + UNKNOWN + 1
 
     def read(self, text: str) -> tuple[str, ...]:
-        """Return the words of a text in lower case, typing errors put right."""
+        """Return the words of a text in lower case, with typing errors corrected."""
         return tuple(self.corrected(word) for word in words(text))
 
     def number(self, word: str) -> int:
-        """Return the number of a word, ``UNKNOWN`` if training never sees it."""
+        """Return the number of a word, ``UNKNOWN`` outside of the vocabulary."""
         return self.numbers.get(word, UNKNOWN)
 
     def _corrected(self, word: str) -> str:
@@ -139,7 +139,7 @@ class Vocabulary:
         near = [
             (distance, known[0] != word[0], known)
             for known, theirs in self._long
-            # An error changes two letters at most; this is quickly seen.
+            # A fast pre-check: an error changes at most two letters.
             if (letters ^ theirs).bit_count() <= 2 * limit
             and abs(len(known) - len(word)) <= limit
             and (distance := edit_distance(word, known)) <= limit
@@ -148,7 +148,7 @@ class Vocabulary:
 
 
 def _letters(word: str) -> int:
-    """Return the letters of a word as bits of a number."""
+    """Return the set of letters of a word as a bit mask."""
     found = 0
     for letter in word:
         found |= 1 << (ord(letter) & 31)
@@ -156,7 +156,7 @@ def _letters(word: str) -> int:
 
 
 def edit_distance(a: str, b: str) -> int:
-    """Return how many letters are added, left out, changed or swapped with the next."""
+    """Return the edit distance of two words, with swaps of neighboring letters."""
     before_last: list[int] = []
     last = list(range(len(b) + 1))
     for i in range(1, len(a) + 1):

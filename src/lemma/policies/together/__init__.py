@@ -1,1 +1,1 @@
-"""Policies for several robots at work at the same time."""
+"""Policies for several robots that act at the same time."""

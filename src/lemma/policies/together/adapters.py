@@ -1,4 +1,4 @@
-"""Adapters: sequential policies give orders to a team, one at a time or several."""
+"""Adapters from sequential policies to team policies, with one order or several."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ from lemma.scene.objects.entity import SHARED, pair_regions
 
 @dataclass(frozen=True)
 class Symbols(Composite):
-    """A planner as a policy whose decisions have no poses yet."""
+    """A planner as a policy whose decisions have no poses."""
 
     planner: Planner
 
@@ -44,14 +44,14 @@ class Symbols(Composite):
 
 @dataclass(frozen=True)
 class WithExpertPoses(Composite):
-    """A team policy whose orders the expert grounds, when they begin."""
+    """A symbolic team policy; the expert grounds each order when it begins."""
 
     policy: TeamPolicy
     grounder: Grounder = OracleGrounder()  # noqa: RUF009 - it is frozen
-    """Says that the result knows the truth."""
+    """Marks the policy as an oracle."""
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
-        """Return the policy's orders, without poses of its own."""
+        """Return the policy's orders without poses."""
         answers = self.policy.act_together(_visible_to(self.policy, inputs))
         return [
             replace(
@@ -67,7 +67,7 @@ class WithExpertPoses(Composite):
 
 @dataclass(frozen=True)
 class WithGrounder(Composite):
-    """A team policy that decides in symbols, and a grounder that adds the poses."""
+    """A symbolic team policy with a grounder."""
 
     policy: TeamPolicy
     grounder: Grounder
@@ -95,13 +95,13 @@ class WithGrounder(Composite):
 class Turns(Composite):
     """A sequential policy that orders one sub-task at a time.
 
-    It is asked when nobody is at work, and sees and does what it does in turns.
+    It is called when no robot is working, with the same inputs as in turns.
     """
 
     policy: Policy
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
-        """Return one order where nobody is at work, else none."""
+        """Return one order if no robot is working, otherwise none."""
         asked = [i for i, team_input in enumerate(inputs) if _is_quiet(team_input)]
         found = [Orders() for _ in inputs]
         if asked:
@@ -115,20 +115,20 @@ class Turns(Composite):
 
 @dataclass(frozen=True)
 class Greedy(Composite):
-    """A sequential policy that gives orders to free robots while it knows some.
+    """A sequential policy that gives orders to free robots until it has no valid one.
 
-    It is asked for its next sub-task as if all that is under way had succeeded. Its
-    choice is ordered and it is asked again, while the choice is for a free robot,
-    repeats nothing that is under way or was done, and is valid: with poses of its own
-    it must be about no object that is under way, since those poses are of where things
-    lie now; a planner that knows the truth does not order what the expert could not
-    ground. Where nobody is at work, its choice is ordered whatever it is, as in turns,
-    and ``stop`` counts there alone.
+    The policy decides on its next sub-task as if all active orders had succeeded. The
+    sub-task becomes an order, and the policy decides again, while the sub-task is for a
+    free robot, repeats no active or completed one, and is valid. A sub-task with the
+    policy's own poses is valid if no active order involves its objects, because these
+    poses are from the present view. A sub-task of an oracle planner is valid if the
+    expert can ground it. If no robot is working, every sub-task becomes an order, as in
+    turns, and only then does ``stop`` count.
     """
 
     policy: Policy
     symbolic: bool = False
-    """Whether the expert adds the poses, when an order begins."""
+    """Whether the expert adds the poses when an order begins."""
 
     @property
     def parts(self) -> tuple[object, ...]:
@@ -136,7 +136,7 @@ class Greedy(Composite):
         return (self.policy,)
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
-        """Return as many orders for free robots as the policy knows."""
+        """Return all valid orders of the policy for free robots."""
         drafts = [_Draft(team_input, self.symbolic) for team_input in inputs]
         while asked := [draft for draft in drafts if draft.goes_on]:
             visible = visible_to(self.policy, [draft.as_if_done() for draft in asked])
@@ -150,7 +150,7 @@ class Greedy(Composite):
 
 
 class _Draft:
-    """Orders for one team, while they are being made."""
+    """Orders for one team, under construction."""
 
     def __init__(self, team_input: TeamInput, symbolic: bool) -> None:
         self._input, self._symbolic = team_input, symbolic
@@ -162,14 +162,14 @@ class _Draft:
         self.goes_on = bool(self._free)
 
     def as_if_done(self) -> PolicyInput:
-        """Return the input after all that is under way, if it succeeds."""
+        """Return the input as if all active orders had succeeded."""
         steps = [doing.subtask for doing in self._input.doing.values()]
         steps += [decision.subtask for decision in self.decisions]
         past = tuple(PastStep(self._input.view, subtask) for subtask in steps)
         return self._input.with_past((*self._input.past, *past))
 
     def take(self, decision: Any) -> None:
-        """Order what was chosen, or ask no more."""
+        """Add a decision to the orders, or end the draft."""
         first = _is_quiet(self._input) and not self.decisions
         if first or (isinstance(decision, Decision) and self._is_valid(decision)):
             self.decisions.append(decision)
@@ -197,7 +197,10 @@ class _Draft:
         return self._can_be_grounded(decision)
 
     def _can_be_grounded(self, decision: Decision) -> bool:
-        """Whether the expert could, where that is known; keeps the effect in mind."""
+        """Return whether the expert can ground it; True for inputs of other policies.
+
+        The effect of the sub-task is applied to the expected state.
+        """
         team_input = self._input
         if not isinstance(team_input, TeamOracleInput):
             return True
@@ -217,10 +220,10 @@ class _Draft:
 
 
 def _is_quiet(team_input: TeamInput) -> bool:
-    """Whether nobody is at work, and all can be."""
+    """Return whether no robot is working and all are free."""
     return len(team_input.free) == len(team_input.robots)
 
 
 def _visible_to(policy: TeamPolicy, inputs: Sequence[TeamInput]) -> list[TeamInput]:
-    """Return inputs as a policy may see them."""
+    """Return inputs for a policy, with privileged state only for oracles."""
     return [one for one in visible_to(policy, inputs) if isinstance(one, TeamInput)]

@@ -1,4 +1,4 @@
-"""A team whose robots decide alone: each is asked when it is free."""
+"""A decentralised team: each robot decides alone when it is free."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ from lemma.policies.together.interfaces import (
 
 @dataclass(frozen=True)
 class EachAsked(Composite):
-    """A team of robots that are asked one after another, each with its own view."""
+    """A team whose free robots decide one after another, each from its own view."""
 
     policy: RobotPolicy
 
     asks_robots = True
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
-        """Return the orders that the free robots gave themselves, and messages.
+        """Return the free robots' own orders and their messages.
 
         Raises:
-            ValueError: A robot orders another one, or a message is none.
+            ValueError: A robot gives an order to another one, or a message is invalid.
         """
         decisions: list[list[Decision]] = [[] for _ in inputs]
         messages: list[list[Message]] = [[] for _ in inputs]
@@ -59,13 +59,13 @@ class EachAsked(Composite):
 
 
 def asks_robots(policy: object) -> bool:
-    """Whether a policy needs the own view of each robot."""
+    """Return whether a policy needs each robot's own view."""
     parts = policy.parts if isinstance(policy, Composite) else ()
     return getattr(policy, "asks_robots", False) is True or any(map(asks_robots, parts))
 
 
 def _own(team_input: TeamInput, robot: str, new: Sequence[Message]) -> RobotInput:
-    """Return what a robot knows."""
+    """Return the input of a robot."""
     return RobotInput(
         team_input.instruction,
         team_input.robots,

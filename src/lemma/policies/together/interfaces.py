@@ -1,9 +1,9 @@
-"""Inputs and answers of policies that give orders to several robots at once.
+"""Inputs and outputs of policies that give orders to several robots at once.
 
 A :class:`TeamPolicy` decides for the whole team, a :class:`RobotPolicy` for one robot
-at a time. Both are asked whenever a robot is free: at the beginning, when an order has
-ended or had its effect, and after a second in which nobody works. As everywhere, a
-decision is a pure function of its input.
+at a time. Both are called whenever a robot is free: at the beginning, when an order has
+ended or had its effect, and after a second without a working robot. As for other
+policies, a decision is a pure function of its input.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,18 +28,18 @@ LONGEST_MESSAGE = 200
 
 @dataclass(frozen=True, slots=True)
 class Doing:
-    """Work of a robot that has an order."""
+    """The active order of a robot."""
 
     subtask: SubTask
     since_s: float
-    """Simulated time at which it was given [s]."""
+    """Simulated time of the order [s]."""
     waits_for: tuple[str, ...] = ()
-    """Robots for whose effect or sector it waits now."""
+    """Robots whose effect or sector it is waiting for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Words of one robot to all others."""
+    """A message of one robot to all others."""
 
     robot: str
     text: str
@@ -49,38 +49,40 @@ class Message:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TeamInput(PolicyInput):
-    """All that a policy may know when robots are free.
+    """All inputs of a team policy's decision when robots are free.
 
-    ``view`` shows the present moment, with arms in motion. ``past`` holds the orders
-    that have ended, in that order; the view of each is that of when it was given.
+    ``view`` is the present view, with arms in motion. ``past`` holds the ended orders,
+    by the time of their end; the view of each is from the time when it was given.
     """
 
     time_s: float
     """Simulated time [s]."""
     free: tuple[str, ...]
-    """Robots that can be given an order."""
+    """Robots that can get an order."""
     doing: Mapping[str, Doing] = field(default_factory=dict)
-    """Orders under way, by robot, oldest first."""
+    """Active orders by robot, oldest first."""
     messages: tuple[Message, ...] = ()
-    """All messages of the episode so far, of a policy that is asked robot by robot."""
+    """For a :class:`RobotPolicy`, all messages of the episode so far."""
     own_views: Mapping[str, View] = field(default_factory=dict)
-    """For such a policy, the view of each free robot: its own camera and joints."""
+    """For a :class:`RobotPolicy`, the view of each free robot: its camera and
+    joints."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TeamOracleInput(TeamInput, OracleInput):
-    """Input of an oracle, with the truth."""
+    """Input of an oracle, with the true state."""
 
     team: "Team" = field(repr=False)
-    """Orders under way, with their predicted effects."""
+    """Active orders, with their predicted effects."""
 
     def without_truth(self) -> TeamInput:
-        """Return what anybody else is given."""
+        """Return the input without privileged state, as other policies get it."""
         return TeamInput(
             self.instruction,
             self.robots,
             self.view,
             self.past,
+            self.hands,
             time_s=self.time_s,
             free=self.free,
             doing=self.doing,
@@ -91,16 +93,15 @@ class TeamOracleInput(TeamInput, OracleInput):
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """An answer: orders for some of the free robots; the others wait."""
+    """Output of a team policy: orders for some of the free robots; the others wait."""
 
     decisions: tuple[Decision, ...] = ()
-    """At most one for each free robot, given in this order: each is carried out with
-    the effects of those before in mind. ``stop`` is the team's: those at work finish,
-    and the episode ends."""
+    """At most one for each free robot. Each takes the effects of those before it into
+    account. ``stop`` is for the team: working robots finish, and the episode ends."""
     messages: tuple[Message, ...] = ()
-    """Of robots to each other."""
+    """Messages of robots to each other."""
     efforts: tuple[Effort, ...] = ()
-    """Cost of further decisions, which gave no order."""
+    """Cost of further decisions, without an order."""
 
 
 @runtime_checkable
@@ -124,26 +125,26 @@ class TeamPolicy(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RobotInput(PolicyInput):
-    """All that one robot may know when it is free.
+    """All inputs of one robot's decision when it is free.
 
-    ``view`` is of its own camera and joints: the map shows what that camera sees,
-    ``joints`` is (1, 6). ``past`` holds its own orders.
+    ``view`` is from its own camera and joints: the map shows the cells in the camera's
+    view, and ``joints`` is (1, 6). ``past`` holds its own orders.
     """
 
     robot: str
-    """Which one it is."""
+    """Name of the robot."""
     time_s: float
     """Simulated time [s]."""
     inbox: tuple[Message, ...] = ()
-    """All that the others have told it since the episode began, oldest first."""
+    """All messages of the others since the episode began, oldest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """An answer of one robot."""
+    """Output of a :class:`RobotPolicy` for one robot."""
 
     order: Decision | SubTask | None = None
-    """Its own next order; None to wait. ``stop`` is the team's."""
+    """Its own next order; None to wait. ``stop`` is for the team."""
     message: str = ""
     """To all others, up to :data:`LONGEST_MESSAGE` characters; empty for none."""
 
@@ -152,8 +153,8 @@ class Choice:
 class RobotPolicy(Protocol):
     """Decides for one robot. Subclass it, or write the method.
 
-    Free robots are asked one after another, in the order of the team, so a message
-    reaches those that are asked later at the same moment.
+    It is called for one free robot after another, in the order of the team, so a
+    message reaches the robots that decide later at the same time.
     """
 
     def act_alone(
@@ -168,10 +169,10 @@ class RobotPolicy(Protocol):
 
 
 def orders_of(answer: "Orders | Sequence[Decision | SubTask]") -> Orders:
-    """Return an answer of a :class:`TeamPolicy` as orders.
+    """Return the output of a :class:`TeamPolicy` as orders.
 
     Raises:
-        TypeError: It is something else.
+        TypeError: The output has another type.
     """
     if isinstance(answer, Orders):
         return answer
@@ -181,5 +182,5 @@ def orders_of(answer: "Orders | Sequence[Decision | SubTask]") -> Orders:
 
 
 def decision_of(order: Decision | SubTask) -> Decision:
-    """Return an order as a decision; anything else as it is."""
+    """Return a sub-task as a decision; other values unchanged."""
     return Decision(order, None) if isinstance(order, SubTask) else order

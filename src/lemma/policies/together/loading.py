@@ -1,4 +1,4 @@
-"""Team policies by name: those that act together, and adapters for all others."""
+"""Loading of team policies by name, with adapters for sequential policies."""
 
 from typing import Any
 
@@ -21,17 +21,17 @@ from lemma.policies.together.rules import TEAM_RULES
 
 
 def team_of(spec: PolicySpec, load: Load | None = None) -> TeamPolicy:
-    """Return the policy of a spec, ready to act together.
+    """Return the policy of a spec as a team policy.
 
-    A rule of :data:`TEAM_RULES`, or what has ``act_together`` or ``act_alone``, is
-    itself; everything else gets an adapter.
+    Rules of :data:`TEAM_RULES` and objects with ``act_together`` or ``act_alone`` need
+    no adapter; all others get one.
 
     Args:
-        spec: Which policy, and how it acts.
+        spec: The policy's name and options.
         load: Returns the planner, grounder or policy of a name.
 
     Raises:
-        LemmaError: The name means no policy, or one that cannot plan in this way.
+        LemmaError: There is no such policy, or it does not support the options.
     """
     first, *more = spec.parts
     rule = TEAM_RULES.get(first.partition(":")[0])
@@ -57,7 +57,7 @@ def team_of(spec: PolicySpec, load: Load | None = None) -> TeamPolicy:
 
 
 def _team(part: Any) -> TeamPolicy | None:
-    """Return a part as a team policy; None if it is none."""
+    """Return an object as a team policy; None for a sequential policy."""
     if takes(getattr(part, "act_together", None), 1):
         found: TeamPolicy = part
         return found
@@ -65,7 +65,7 @@ def _team(part: Any) -> TeamPolicy | None:
 
 
 def _adapted(spec: PolicySpec, load: Load) -> TeamPolicy:
-    """Return a sequential policy that gives orders by an adapter."""
+    """Return a sequential policy with an adapter."""
     policy: Policy = spec.load_sequential(load)
     symbolic = False
     if isinstance(policy, PlannerWithGrounder):

@@ -1,4 +1,4 @@
-"""Teams that act by a rule: the expert's plan, reach, or chance. All know the truth."""
+"""Rule-based team policies, all privileged: the expert's plan, reach, random."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -14,6 +14,7 @@ from lemma.planning.planner import candidates, find_plan
 from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Oracle
+from lemma.policies.oracle import refusal_words
 from lemma.policies.together.interfaces import (
     Orders,
     TeamInput,
@@ -27,27 +28,27 @@ _MOST_PLANS = 4
 
 
 def truth_of(team_input: TeamInput) -> TeamOracleInput:
-    """Return an input with the truth.
+    """Return an input as an oracle's input.
 
     Raises:
-        InvalidConfigError: It comes without.
+        InvalidConfigError: It is no :class:`TeamOracleInput`.
     """
     if not isinstance(team_input, TeamOracleInput):
         raise InvalidConfigError(
-            "An oracle was asked, but the inputs come without the truth. Give it "
+            "An oracle needs privileged state, which these inputs lack. Pass "
             "TeamOracleInput."
         )
     return team_input
 
 
 def _expected(team_input: TeamOracleInput) -> SymbolicState:
-    """Return the state that all that is under way will leave behind."""
+    """Return the expected state after all active orders."""
     now = team_input.team.observe()
     return team_input.team.expected(now, team_input.team.settled(now))
 
 
 def _is_at_work(team_input: TeamInput) -> bool:
-    """Whether somebody has an order, or rests from one."""
+    """Return whether a robot has an order, or is not free again after one."""
     return len(team_input.free) < len(team_input.robots)
 
 
@@ -57,7 +58,7 @@ def _ordered(subtasks: Sequence[SubTask]) -> Orders:
 
 @dataclass
 class _Plan:
-    """The expert's plan for an episode, and what of it was ordered."""
+    """The expert's plan for an episode, and its progress."""
 
     steps: tuple[SubTask, ...] = ()
     todo: list[int] = field(default_factory=list)
@@ -67,11 +68,11 @@ class _Plan:
 
 @dataclass(frozen=True)
 class OracleTeam(Oracle):
-    """Orders the expert's plan, to all robots at once.
+    """Executes the expert's plan with all robots at once.
 
-    Each free robot is ordered the first of its sub-tasks for which nothing is missing:
-    all that it depends on has had its effect, as in :mod:`lemma.expert.together`. After
-    a failure those at work finish, and then there is a new plan, up to four in all.
+    Each free robot gets the first of its sub-tasks whose dependencies have all had
+    their effect, as in :mod:`lemma.expert.together`. After a failure the working robots
+    finish, and then there is a new plan, up to four in total.
     """
 
     _plans: WeakKeyDictionary[Episode, _Plan] = field(
@@ -96,14 +97,15 @@ class OracleTeam(Oracle):
             if not done:
                 found = find_plan(team.observe(), goal, team.grounder)
             if found is None or not found.subtasks:
-                return _STOP
+                why = "" if plan.made or done else refusal_words(episode)
+                return Orders((Decision(STOP, None, why),))
             plan.steps, plan.made = found.subtasks, plan.made + 1
             plan.todo, plan.failures = list(range(len(plan.steps))), failures
         return _ordered(_take(plan, team_input))
 
 
 def _take(plan: _Plan, team_input: TeamOracleInput) -> list[SubTask]:
-    """Return the steps of a plan that can begin now, one for each free robot."""
+    """Remove and return the steps that can begin now, at most one per free robot."""
     instance = team_input.episode.instance
     regions = tuple(instance.scene.regions)
     needs = predecessors(plan.steps, regions, instance.goal.rule)
@@ -124,13 +126,13 @@ def _take(plan: _Plan, team_input: TeamOracleInput) -> list[SubTask]:
 class GreedyReachTeam(Oracle):
     """Each free robot takes the first useful valid order.
 
-    Useful is what serves a pair of the goal that will not hold when all that is under
-    way has had its effect, and has not been done before. An order that makes a pair
-    hold comes first. The team stops where nobody is at work and nothing is useful.
+    An order is useful if it serves a pair of the goal that will not hold after all
+    active orders, and if it has not been done before. Orders that make a pair hold come
+    first. The team stops if no robot is working and no order is useful.
     """
 
     def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
-        """Return an order for each free robot that finds a useful one."""
+        """Return an order for each free robot that has a useful one."""
         return [self._act(truth_of(team_input)) for team_input in inputs]
 
     def _act(self, team_input: TeamOracleInput) -> Orders:
@@ -169,7 +171,7 @@ class GreedyReachTeam(Oracle):
 
 @dataclass(frozen=True)
 class RandomValidTeam(Oracle):
-    """Each free robot takes any valid order; ``stop`` is one of them."""
+    """Each free robot takes a random valid order, including ``stop``."""
 
     seed: int = 0
 
@@ -191,7 +193,7 @@ class RandomValidTeam(Oracle):
         return _ordered(orders) if orders or _is_at_work(team_input) else _STOP
 
     def _below(self, count: int, team_input: TeamOracleInput, robot: str) -> int:
-        """Return a number from 0 to ``count`` - 1: the same on every machine."""
+        """Return a number from 0 to ``count`` - 1, the same on every machine."""
         key = f"random-valid {self.seed} {team_input.episode.instance.key}"
         key += f" {len(team_input.past)} {team_input.time_s:.3f} {robot} {count}"
         digest = hashlib.sha256(key.encode()).digest()
@@ -212,5 +214,5 @@ TEAM_RULES: dict[str, Callable[[str], TeamPolicy]] = {
     "greedy-reach": lambda text: GreedyReachTeam(),
     "random-valid": _seeded,
 }
-"""Rules by the name before the colon, made of what is behind it. As policies that act
-together they take the place of the sequential ones of these names."""
+"""Factories of rules by the name before the colon; the argument is the text after it.
+With ``acting="together"`` they replace the sequential policies of the same names."""

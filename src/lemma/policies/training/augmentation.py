@@ -1,8 +1,8 @@
-"""Changes of a batch after which its labels are exactly as right as before.
+"""Augmentation of batches, with exact labels.
 
-All frames of an episode are changed in the same way, because models see them together.
-Where colors are exchanged, only cells where an object truly lies, at its height and in
-its color, are painted, so that an arm, the stick or a cube on top of it keeps its own.
+All frames of an episode get the same changes, because models see them together. An
+exchange of colors paints only cells within an object's true footprint, at its height
+and in its color. So an arm, the stick or a cube on top of it keeps its own color.
 """
 
 from dataclasses import replace
@@ -24,22 +24,22 @@ from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE
 from lemma.tasks.language.template import GoalPairs
 
 HOLE_CELLS = (2, 8)
-"""Smallest and largest side of what a camera misses."""
+"""Smallest and largest side of a hole in the images."""
 _HEIGHT_TOLERANCE_M = 0.010
-"""More than the noise of a measured height, less than a thing above another."""
+"""Above the noise of measured heights, below the height of an object."""
 _WHITE = "white"
 _LEAST_WHITE = 0.72
-"""Least brightness of white, as a share; the table is half as bright."""
+"""Smallest brightness of white, as a share; the table is half as bright."""
 _LEAST_LIGHT = 0.12
-"""Darker cells have no color."""
+"""Smallest brightness of a cell with a recognisable color."""
 
 
 def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Batch:
-    """Return a batch that is changed at random; sentences are not drawn here.
+    """Return a randomly augmented batch; instructions are drawn elsewhere.
 
     Args:
-        batch: With labels, on any device.
-        options: Changes that may be drawn.
+        batch: Batch with labels, on any device.
+        options: Changes to draw.
         rng: Random generator.
     """
     assert batch.labels is not None
@@ -47,7 +47,7 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
     count, device = len(episodes), batch.rgb.device
 
     def each(values: Any) -> Tensor:
-        """Return values of the episodes as values of the frames."""
+        """Expand values of the episodes to values of the frames."""
         return torch.from_numpy(np.asarray(values)[numbers]).to(device)
 
     if options.palette:
@@ -74,15 +74,15 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
 
 
 def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
-    """Return a batch in which whole scenes are turned by half a turn, then shifted.
+    """Return a batch with scenes turned by half a turn, then shifted.
 
-    Where a scene is turned the robots change numbers, because the first one is at -x.
-    Cells that enter at the border count as not seen.
+    In turned scenes the robots exchange numbers, because the first robot is at -x.
+    Cells that enter at the border are not covered.
 
     Args:
-        batch: With labels.
-        shift: Cells by which rows and columns grow, (B, 2) int64.
-        turned: Which frames are turned, (B,) bool.
+        batch: Batch with labels.
+        shift: Shift along rows and columns in cells, (B, 2) int64.
+        turned: Whether each frame is turned, (B,) bool.
     """
     labels, raster = batch.labels, batch.raster
     assert labels is not None
@@ -93,11 +93,11 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     cells = (frames, rows[:, :, None], columns[:, None, :])
     seen = rows_seen[:, :, None] & columns_seen[:, None, :]
     sign = torch.where(turned, -1.0, 1.0)
-    # Rows grow against y.
+    # Row numbers increase towards -y.
     offset = torch.stack([shift[:, 1], -shift[:, 0]], 1) * raster.cell_m
 
     def flat(poses: Tensor) -> Tensor:
-        """Return poses (B, ..., 3) in the plane."""
+        """Return the poses (B, ..., 3) in the plane after the motion."""
         extra = (1,) * (poses.ndim - 2)
         xy = poses[..., :2] * sign.view(-1, *extra, 1) + offset.view(-1, *extra, 2)
         yaw = wrapped(poses[..., 2] + turned.view(-1, *extra) * torch.pi)
@@ -130,7 +130,7 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
 
 
 def _sources(size: int, shift: Tensor, turned: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where rows or columns come from, (B, size), and whether they exist."""
+    """Return the source rows or columns, (B, size), and whether they exist."""
     places = torch.arange(size, device=shift.device) - shift[:, None]
     seen = (places >= 0) & (places < size)
     places = torch.where(turned[:, None], size - 1 - places, places)
@@ -150,13 +150,13 @@ def _moved_objects(
 
 
 def _swapped(values: Tensor, turned: Tensor) -> Tensor:
-    """Return values of robots (B, R, ...), the other way round where it is turned."""
+    """Return values of robots (B, R, ...), in reverse order in turned scenes."""
     extra = (1,) * (values.ndim - 1)
     return torch.where(turned.view(-1, *extra), values.flip(1), values)
 
 
 def _renumbered(decisions: Tensor, turned: Tensor, robots: int) -> Tensor:
-    """Return decisions (B, ..., 4) whose robots have changed numbers."""
+    """Return decisions (B, ..., 4), with exchanged robots in turned scenes."""
     extra = (1,) * (decisions.ndim - 1)
     others = turned_numbers(decisions, robots)
     return torch.where(turned.view(-1, *extra), others, decisions)
@@ -187,10 +187,10 @@ def _noisy_heights(batch: Batch, amount: Tensor, generator: torch.Generator) -> 
 
 
 def _with_holes(batch: Batch, most: int, rng: np.random.Generator) -> Batch:
-    """Let the cameras miss up to so many small rectangles in each frame."""
+    """Remove up to ``most`` small rectangles from each frame's images."""
     count, (height, width) = len(batch), batch.coverage.shape[1:]
     sides = rng.integers(HOLE_CELLS[0], HOLE_CELLS[1] + 1, (2, count, most))
-    # Frames have fewer holes by having some of no size.
+    # A hole of size 0 is no hole.
     sides *= np.arange(most) < rng.integers(0, most + 1, (count, 1))
     starts = rng.integers(0, [[[height]], [[width]]], (2, count, most))
     device = batch.rgb.device
@@ -210,11 +210,11 @@ def _with_holes(batch: Batch, most: int, rng: np.random.Generator) -> Batch:
 
 
 def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
-    """Return a batch in which colors are others; sentences are left as they are.
+    """Return a batch with permuted colors and unchanged instructions.
 
     Args:
-        batch: With labels.
-        permutation: Number, in ``batch.entities.colors``, of the new color by that of
+        batch: Batch with labels.
+        permutation: Index into ``batch.entities.colors`` of the new color by index of
             the old one, (B, colors) int64.
     """
     labels, entities = batch.labels, batch.entities
@@ -238,7 +238,7 @@ def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
 
 
 def _entity_tables(permutation: Tensor, entities: EntitySet) -> Tensor:
-    """Return the new number of each entity, of ``shared`` and of nobody, (B, E + 2)."""
+    """Return the new numbers of entities, ``shared`` and no entity, (B, E + 2)."""
     device = permutation.device
     alike = torch.tensor(entities.colored_as, device=device)
     color = permutation[:, list(entities.color_numbers)]
@@ -248,15 +248,15 @@ def _entity_tables(permutation: Tensor, entities: EntitySet) -> Tensor:
 
 
 def _renamed(decisions: Tensor, tables: Tensor) -> Tensor:
-    """Return decisions (B, ..., 4) that speak of other colors."""
+    """Return decisions (B, ..., 4) with the new colors."""
     named = decisions[..., 2:].reshape(len(decisions), -1)
-    # Nobody, -1, is the last row of a table.
+    # -1, no entity, is the last row of a table.
     new = tables.gather(1, named % tables.shape[1]).view(decisions[..., 2:].shape)
     return torch.cat([decisions[..., :2], new], -1)
 
 
 def _reordered(objects: Tensor, tables: Tensor) -> Tensor:
-    """Return true poses (B, E, 7) in the rows of the new colors."""
+    """Return true poses (B, E, 7), in the rows of the new colors."""
     rows = tables[:, : objects.shape[1], None].expand_as(objects)
     return torch.empty_like(objects).scatter_(1, rows, objects)
 
@@ -286,18 +286,18 @@ def _painted(batch: Batch, labels: Labels, permutation: Tensor) -> Tensor:
     palette = old.new_tensor([OBJECT_COLORS[name][:3] for name in entities.colors])
     source = palette[own][None, :, None]
     target = palette[permutation[:, own]][:, :, None]
-    # How bright a cell is beside its palette color says how it is lit.
+    # The brightness relative to the palette color is the lighting of a cell.
     light = (old * source).sum(-1, keepdim=True) / (source * source).sum(-1, True)
     above_m = seen_m - objects[..., 2:3]
     inside = _footprints(batch, objects, rows, columns) & batch.coverage[cells]
     traits = traits_of(entities, old.device)
     top_m, height_m = traits.top_m[colored, None], traits.height_m[colored, None]
     inside &= above_m < top_m + _HEIGHT_TOLERANCE_M
-    # A white thing in the dark is as grey as the table, which is not so high.
+    # A dark white object is as grey as the table, so use the height as well.
     high = (above_m > top_m - height_m / 2) & (height_m > 2 * _HEIGHT_TOLERANCE_M)
     inside &= _shows_own_color(old, light[..., 0], high, entities)
     new = (light * target * 255.0).round().clamp(0, 255).to(torch.uint8)
-    # Cells that are not painted are written behind the last cell.
+    # Cells that keep their color are written to an extra cell behind the last one.
     height, width = batch.coverage.shape[1:]
     flat = (frames * height + rows) * width + columns
     count = len(batch) * height * width
@@ -320,12 +320,12 @@ def _windows(batch: Batch, objects: Tensor) -> tuple[Tensor, Tensor]:
     down, right = torch.meshgrid(steps, steps, indexing="ij")
     rows = row[..., None] + down.reshape(-1)
     columns = column[..., None] + right.reshape(-1)
-    # Cells outside are replaced by ones at the border, which lie nowhere near.
+    # Cells outside of the map become border cells, which are not in a footprint.
     return rows.clamp(0, raster.rows - 1), columns.clamp(0, raster.columns - 1)
 
 
 def _footprints(batch: Batch, objects: Tensor, rows: Tensor, columns: Tensor) -> Tensor:
-    """Return which cells of the windows touch their object, (B, colored, window)."""
+    """Return whether cells of the windows touch their object, (B, colored, window)."""
     raster = batch.raster
     margin = 0.75 * raster.cell_m
     x = (columns + 0.5 - raster.columns / 2) * raster.cell_m - objects[..., 0:1]
@@ -340,12 +340,12 @@ def _footprints(batch: Batch, objects: Tensor, rows: Tensor, columns: Tensor) ->
         for part in batch.entities.kinds[number].parts:
             over |= _covers(part, along[:, row], across[:, row], margin)
         found.append(over)
-    # Where an entity is missing its pose is NaN, so that nothing is inside.
+    # A missing entity has the pose NaN, so no cell is inside.
     return torch.stack(found, 1)
 
 
 def _covers(part: Part, x: Tensor, y: Tensor, margin_m: float) -> Tensor:
-    """Return which positions in an object's frame an upright part of it covers."""
+    """Return whether an upright part covers positions in its object's frame."""
     x, y = x - part.position_m[0], y - part.position_m[1]
     if part.shape == "box":
         half_x, half_y, _ = part.size_m
@@ -356,12 +356,12 @@ def _covers(part: Part, x: Tensor, y: Tensor, margin_m: float) -> Tensor:
 def _shows_own_color(
     rgb: Tensor, light: Tensor, high: Tensor, entities: EntitySet
 ) -> Tensor:
-    """Return which cells have their object's color, however they are lit.
+    """Return whether cells have their object's color, in any lighting.
 
     Args:
         rgb: Colors of 0 to 1, (B, colored, window, 3).
-        light: How bright cells are beside their object's palette color.
-        high: Whether a cell is so high that it is not the table's.
+        light: Brightness of cells relative to their object's palette color.
+        high: Whether cells are above the table.
         entities: Entities, in the order of their numbers.
     """
     colors = entities.colors
@@ -381,6 +381,6 @@ def _shows_own_color(
 
 
 def _colored(entities: EntitySet) -> list[int]:
-    """Return the numbers of the entities whose colors change places."""
+    """Return the numbers of the entities with an exchangeable color."""
     alike = enumerate(entities.colored_as)
     return [number for number, row in alike if len(set(row)) > 1]

@@ -1,7 +1,7 @@
 """The losses and gradients of a step as one CUDA graph.
 
-A step of a small network is thousands of short kernels, and starting each one from
-Python takes longer than it runs. A captured step is started at once.
+A step of a small network has thousands of short kernels, and Python takes longer to
+launch one than the GPU to run it. A captured step needs one launch.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from torch import Tensor
 from lemma.policies.batch import Batch
 
 WARM_UP = 3
-"""Steps before the capture, in which libraries choose and compile their kernels."""
+"""Steps before the capture, for libraries to choose and compile their kernels."""
 
 _Record = TypeVar("_Record")
 
@@ -25,11 +25,11 @@ class CapturedStep:
     def __init__(
         self, compute: Callable[[Batch], dict[str, Tensor]], batch: Batch
     ) -> None:
-        """Capture the computation; gradients of all weights are overwritten.
+        """Capture the computation; the gradients of all weights are overwritten.
 
         Args:
-            compute: Returns the losses of a batch, and leaves the gradients at the
-                weights. It looks at no text and no name, and waits for no result.
+            compute: Returns the losses of a batch, and sets the gradients of the
+                weights. It must not use texts or names, nor synchronise with the CPU.
             batch: Any batch, with labels and ``text_tensors``.
         """
         self.batch = without_texts(batch, batch.text_tensors)
@@ -41,29 +41,29 @@ class CapturedStep:
                 compute(self.batch)
         torch.cuda.current_stream(device).wait_stream(beside)
         self.graph = torch.cuda.CUDAGraph()
-        # The thread that prepares batches goes on meanwhile.
+        # Thread-local, because another thread prepares batches during the capture.
         with torch.cuda.graph(self.graph, capture_error_mode="thread_local"):
             self.terms = compute(self.batch)
 
     def fits(self, batch: Batch) -> bool:
-        """Return whether a batch has the shapes of those that were captured."""
+        """Return whether a batch has the captured shapes."""
         return _shapes(batch) == _shapes(self.batch)
 
     def __call__(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses of a batch; the gradients are at the weights."""
+        """Return the losses of a batch, and set the gradients of the weights."""
         for own, new in zip(_tensors(self.batch), _tensors(batch), strict=True):
             own.copy_(new)
         self.graph.replay()
-        # The next step overwrites them.
+        # Clone, because the next step overwrites them.
         return {name: term.clone() for name, term in self.terms.items()}
 
 
 def without_texts(batch: Batch, tensors: Mapping[str, Tensor]) -> Batch:
-    """Return a batch with tensors of its own, and without any text or name.
+    """Return a copy of a batch without texts and names.
 
     Args:
-        batch: With labels.
-        tensors: Texts and names as the model has encoded them.
+        batch: Batch with labels.
+        tensors: Texts and names, encoded by the model.
     """
     assert batch.labels is not None
     own = {name: value.clone() for name, value in tensors.items()}

@@ -1,6 +1,6 @@
 """Options of a training run, and the defaults of each model.
 
-Plain data that needs no torch, so that the command line can show it at once.
+Plain data without torch, so that the command line shows its help quickly.
 """
 
 import json
@@ -21,7 +21,7 @@ Level = Annotated[float, msgspec.Meta(ge=0.0)]
 """0 for none."""
 Whole = Annotated[int, msgspec.Meta(ge=0)]
 """0 for none."""
-# The hint would repeat "(default: None)" where the help says what happens.
+# Without the hint "(default: None)": the help texts state the defaults.
 Count = Annotated[
     Annotated[int, msgspec.Meta(ge=1)] | None,
     tyro.conf.arg(metavar="N", help_behavior_hint=""),
@@ -40,19 +40,19 @@ RECOVERY_SHARE = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Augmentation:
-    """Random changes of training frames; each can be left out."""
+    """Random changes of training frames; each can be disabled."""
 
     palette: bool = True
     """Exchange the five colors of cubes and pads, in images, labels and sentences."""
     templates: bool = True
-    """Draw a new sentence each time; else an episode keeps its first one."""
+    """Draw a new sentence each time; otherwise an episode keeps its first one."""
     paraphrases: Level = 0.7
-    """Share of sentences that differ from all templates: made by rules, or composed of
-    parts of templates; 0 for none."""
+    """Share of sentences that differ from all templates, from a grammar or recombined
+    from parts of templates; 0 for none."""
     translate_cells: Whole = 6
-    """Move the whole scene by up to so many cells of the map; 0 for never."""
+    """Largest shift of the scene, in cells of the map; 0 for none."""
     turn: bool = True
-    """Turn the whole scene by half a turn at random; robots then change numbers."""
+    """Turn the scene by half a turn at random; the robots then exchange numbers."""
     brightness: Share = 0.15
     """Largest change of brightness and of contrast, as a share; 0 for none."""
     pixel_noise: Level = 0.03
@@ -83,7 +83,7 @@ class TrainingConfig:
     """Folder of keyframes that lemma render --form keyframes wrote; for keypose, --form
     key-poses."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder of the run. A run that is there and did not end is continued."""
+    """Folder of the run. An unfinished run in it is continued."""
     options: Annotated[
         tuple[str, ...],
         tyro.conf.arg(metavar="NAME=VALUE ...", help_behavior_hint=""),
@@ -92,7 +92,7 @@ class TrainingConfig:
     seed: int = 0
     """Seed of initial weights, order of samples, sentences and augmentation."""
     start: Name = None
-    """Weights to begin with, by name or file, instead of random ones."""
+    """Initial weights, by name or file, instead of random ones."""
 
     steps: Count = None
     """Steps of the optimizer. By default the model's own number of samples."""
@@ -103,7 +103,8 @@ class TrainingConfig:
     learning_rate: Amount = None
     """Peak learning rate of AdamW. By default the model's own."""
     warmup_steps: Whole = 300
-    """Steps until the peak learning rate; then it falls along a cosine to zero."""
+    """Steps of linear warm-up to the peak learning rate; a cosine decay to zero
+    follows."""
     weight_decay: Level = 0.02
     """Weight decay of AdamW, for matrices and kernels only."""
     clip: Positive = 1.0
@@ -118,13 +119,14 @@ class TrainingConfig:
     compile: bool = True
     """Compile the networks on a GPU: a minute more to start, faster to run."""
     capture: bool = True
-    """Do a step on a GPU as one CUDA graph, where the model's steps are all alike."""
+    """Run a step on a GPU as one CUDA graph, for models with fixed shapes."""
     device: Literal["auto", "cuda", "cpu"] = "auto"
     """Device to train on; auto: a GPU if there is one."""
     images: Literal["auto", "device", "host"] = "auto"
-    """Memory for the images; auto: the device if a tenth of its memory is enough."""
+    """Memory for the images; auto: the device if they need less than a tenth of its
+    memory."""
     shared_images: bool = False
-    """Read images from uncompressed files that all runs of this machine share; the
+    """Read images from uncompressed files that all runs on this machine share; the
     first run writes them beside the data."""
 
     val_every: Count = None
@@ -132,26 +134,26 @@ class TrainingConfig:
     checkpoint_every_s: Positive = 60.0
     """Seconds between checkpoints."""
     time_limit_s: Amount = None
-    """Seconds after which training ends, summed over continued runs; the learning rate
-    reaches zero by then. For experiments: the number of steps depends on the machine,
-    and the weights record that."""
+    """Time limit of the training in seconds, summed over continued runs; the learning
+    rate reaches zero at that time. The number of steps then depends on the machine,
+    which the weights record, so use it only for experiments."""
     train_split: str = "train"
     """Split to train on."""
     val_split: str = "val"
-    """Split to choose the best weights by."""
+    """Split for the selection of the best weights."""
     tasks: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="TASK ...", help_behavior_hint="")
     ] = ()
     """Names of tasks; all if empty."""
     episodes: Count = None
-    """Train on only so many episodes of the split, drawn by the seed."""
+    """Number of episodes of the split to train on, drawn with the seed."""
     episodes_per_task: Count = None
-    """Train on only the first so many episodes of every task."""
+    """Number of episodes of every task to train on, the first ones."""
     kinds: Kinds = ("high_level", "human")
     """Kinds of instructions, drawn with equal probability."""
     language: Literal["full", "none", "shuffled"] = "full"
-    """Controls. none: no sentence is given; shuffled: the sentence of another
-    episode."""
+    """Control experiments. none: empty sentences; shuffled: sentences of other
+    episodes."""
     augmentation: Augmentation = field(default_factory=Augmentation)
     """Random changes of frames."""
     recovery: Annotated[
@@ -160,8 +162,7 @@ class TrainingConfig:
     """Folder of recovery states to mix in: rendered keyframes of perturbed executions
     from lemma generate --perturb. They are never used for validation."""
     recovery_share: Part = None
-    """Share of the frames, or episodes, of each batch that are recovery states; 0.25 by
-    default."""
+    """Share of recovery states in each batch of frames or episodes; 0.25 by default."""
     track: bool = False
     """Log to wandb as well as to TensorBoard."""
 
@@ -175,12 +176,12 @@ class TrainingConfig:
             )
         if self.episodes is not None and self.episodes_per_task is not None:
             raise InvalidConfigError(
-                "episodes and episodes_per_task both say what is trained on. Leave out "
-                "one of them."
+                "episodes and episodes_per_task both select episodes. Leave out one of "
+                "them."
             )
         if self.recovery_share is not None and self.recovery is None:
             raise InvalidConfigError(
-                "recovery_share says how much of each batch are recovery states, but "
+                "recovery_share is the share of recovery states in each batch, but "
                 "there are none. Name them with --recovery DIR."
             )
 
@@ -188,7 +189,7 @@ class TrainingConfig:
         """Return the same options, with the model's defaults in place of None.
 
         Args:
-            processes: Number of processes that train together; each draws a batch.
+            processes: Number of processes of a distributed run; each draws a batch.
         """
         own = DEFAULTS.get(self.model, Defaults())
         batch_size = self.batch_size or own.batch_size
@@ -235,7 +236,7 @@ class Defaults:
 
 
 DEFAULTS: dict[str, Defaults] = {
-    # Thirty passes, and 300,000 samples, as in the paper.
+    # Thirty epochs, and 300,000 samples, as in the paper.
     "episodic-transformer": Defaults(samples=168_000, batch_size=32),
     "cliport": Defaults(samples=300_000, learning_rate=1e-3),
     "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
@@ -252,7 +253,7 @@ MAY_CHANGE = (
 
 
 def model_options(words: tuple[str, ...]) -> dict[str, Any]:
-    """Return the options of a model that a user typed, as plain data.
+    """Return the options of a model from the command line as plain data.
 
     The names are checked later, when the options are decoded.
 
@@ -260,7 +261,8 @@ def model_options(words: tuple[str, ...]) -> dict[str, Any]:
         words: Such as ``("width=128", "reader.layers=2")``.
 
     Raises:
-        InvalidConfigError: A word has no value, or is part of what has one.
+        InvalidConfigError: An option has no value, or is a part that another option
+            already sets.
     """
     chosen: dict[str, Any] = {}
     for word in words:
@@ -271,7 +273,7 @@ def model_options(words: tuple[str, ...]) -> dict[str, Any]:
             place = place.setdefault(step, {}) if isinstance(place, dict) else None
         if not (equals and isinstance(place, dict)):
             raise InvalidConfigError(
-                f"{word!r} has no value, or is part of what has one. Write options as "
+                f"{word!r} has no value, or conflicts with another. Write options as "
                 "NAME=VALUE, or PART.NAME=VALUE, such as reader.layers=2."
             )
         try:

@@ -1,4 +1,4 @@
-"""Processes that train one model together, one for each GPU."""
+"""Distributed training, with one process per GPU."""
 
 import os
 from collections.abc import Iterator
@@ -14,21 +14,21 @@ from lemma.core.errors import InvalidConfigError
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """Which of how many processes this one is, and its device."""
+    """Rank of this process, number of processes, and device."""
 
     rank: int
     count: int
     device: torch.device
     talk: dist.ProcessGroup | None = None
-    """The connection for what is on the CPU, beside that of the GPUs."""
+    """The process group for tensors on the CPU, besides that of the GPUs."""
 
     @property
     def first(self) -> bool:
-        """Whether this is the one that writes and reports."""
+        """Whether this process writes and reports: rank 0."""
         return self.rank == 0
 
     def agree(self, *values: float) -> tuple[float, ...]:
-        """Return what the first process says, in all of them."""
+        """Broadcast values from the first process."""
         if self.count == 1:
             return values
         tensor = torch.tensor(values, dtype=torch.float64)
@@ -45,14 +45,14 @@ class ProcessGroup:
 
 @contextmanager
 def processes(device: str = "auto") -> Iterator[ProcessGroup]:
-    """Join the processes that ``torchrun`` started; alone, if it did not.
+    """Join the process group that ``torchrun`` started; one process without it.
 
     Args:
         device: ``"auto"``, ``"cuda"`` or ``"cpu"``.
 
     Raises:
-        InvalidConfigError: There is no GPU, and one was asked for; or the environment
-            names several processes, but not all that they need to find each other.
+        InvalidConfigError: ``"cuda"`` without a GPU; or the environment has several
+            processes, but lacks variables that torchrun sets.
     """
     count = _variable("WORLD_SIZE", 1)
     chosen = _device(device)
@@ -69,10 +69,10 @@ def processes(device: str = "auto") -> Iterator[ProcessGroup]:
 
 
 def _variable(name: str, default: int, most: int = 2**20) -> int:
-    """Return a whole number that the environment names; the default if it is empty.
+    """Return an environment variable as a whole number; the default if it is empty.
 
     Raises:
-        InvalidConfigError: It is another text.
+        InvalidConfigError: It is no whole number in range.
     """
     text = os.environ.get(name, "").strip() or str(default)
     if not (text.isdecimal() and text.isascii() and default <= int(text) < most):
@@ -84,18 +84,18 @@ def _variable(name: str, default: int, most: int = 2**20) -> int:
 
 
 def _check_torchrun(count: int) -> None:
-    """Check what processes need to find each other, which torchrun sets.
+    """Check the environment variables that torchrun sets.
 
     Raises:
-        InvalidConfigError: It is not there.
+        InvalidConfigError: One is missing, or the rank is too large.
     """
     needed = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
     missing = [name for name in needed if not os.environ.get(name, "").strip()]
     if missing or _variable("RANK", 0) >= count:
         wrong = f"{', '.join(missing)} missing" if missing else "RANK too large"
         raise InvalidConfigError(
-            f"The environment says WORLD_SIZE={count}, as for processes that train "
-            f"together, but with {wrong}. Start them with torchrun, or train in one "
+            f"The environment has WORLD_SIZE={count}, for distributed training, but "
+            f"with {wrong}. Start the processes with torchrun, or train in one "
             "process: env -u WORLD_SIZE lemma train ..."
         )
     _variable("MASTER_PORT", 0, 2**16)
@@ -105,17 +105,17 @@ def _device(name: str) -> torch.device:
     there = torch.cuda.is_available()
     if name == "cuda" and not there:
         raise InvalidConfigError(
-            "No GPU can be used: torch finds no CUDA device. Leave out --device, or "
+            "No GPU is available: torch finds no CUDA device. Leave out --device, or "
             "install a torch that is built for this machine's driver."
         )
     if name == "cpu" or not there:
         return torch.device("cpu")
-    # Episodes differ in length, and with them batches: else memory falls to pieces.
+    # Batches of episodes differ in size, which fragments memory without this setting.
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")
     index = _variable("LOCAL_RANK", 0)
     if index >= torch.cuda.device_count():
         raise InvalidConfigError(
-            f"The environment says LOCAL_RANK={index}, but this machine has "
+            f"The environment has LOCAL_RANK={index}, but this machine has "
             f"{torch.cuda.device_count()} GPU. Start as many processes as it has."
         )
     device = torch.device("cuda", index)

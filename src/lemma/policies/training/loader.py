@@ -1,8 +1,8 @@
-"""Batches for training, prepared while the model works on the one before.
+"""Batches for training, prepared in another thread.
 
-The input of a step is a function of the seed and of the step's number, so that a run
-that was stopped goes on as if it had not been. Its sentences are drawn anew, or are
-those of a control.
+The input of a step is a function of the seed and of the step's number, so a continued
+run equals an uninterrupted one. Instructions are newly drawn for each batch, or
+replaced in control experiments.
 """
 
 import math
@@ -28,16 +28,16 @@ from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
 
 AHEAD = 3
-"""Batches that are prepared before they are asked for."""
+"""Number of batches to prepare ahead."""
 
 Made = Future[tuple[Batch, Any]]
 
 
 @dataclass(frozen=True)
 class Sampler:
-    """Which units (frames or episodes) each step draws: every one once per pass.
+    """Draws the units (frames or episodes) of each step, each once per epoch.
 
-    Steps of two sources may share a batch; each source has an order of its own.
+    A batch may have units of two sources; each source has its own order.
     """
 
     units: int
@@ -49,15 +49,15 @@ class Sampler:
     """Name of the source."""
 
     def step(self, number: int) -> list[int]:
-        """Return the units of a step; all processes together draw from one order."""
+        """Return the units of a step; all processes share one order."""
         return self.between(number * self.batch_size, (number + 1) * self.batch_size)
 
     def between(self, before: int, after: int) -> list[int]:
         """Return the units of this process in a step.
 
         Args:
-            before: How many each process drew before it.
-            after: How many each has drawn when it is done.
+            before: Units per process before the step.
+            after: Units per process after the step.
         """
         first = before * self.processes + self.rank * (after - before)
         return [self._unit(place) for place in range(first, first + after - before)]
@@ -74,18 +74,18 @@ def _permutation(name: str, seed: int, turn: int, units: int) -> NDArray[np.int6
 
 @dataclass(frozen=True)
 class FrameSource:
-    """Recovery states that are mixed in."""
+    """Recovery states that are mixed into batches."""
 
     frames: Frames
     units: Sequence[Sequence[int]]
     """The frames of every unit."""
     order: Sampler
     share: float
-    """Share of the units of each batch; over many steps it is met exactly."""
+    """Share of the units of each batch, exact over many steps."""
 
     def drawn(self, steps: int) -> int:
-        """Return how many units each process has drawn from here after some steps."""
-        # Products such as 10 * 0.3 shall not lie below the whole number that they are.
+        """Return the number of units per process from this source after some steps."""
+        # The small addend avoids rounding down of products such as 10 * 0.3.
         return math.floor(steps * self.order.batch_size * self.share + 1e-6)
 
 
@@ -94,7 +94,7 @@ def _nothing(_: Batch) -> dict[str, Tensor]:
 
 
 class BatchLoader:
-    """Makes the batch of any step."""
+    """Creates the batch of any step."""
 
     def __init__(
         self,
@@ -106,16 +106,16 @@ class BatchLoader:
         recovery: FrameSource | None = None,
         text_tensors: Callable[[Batch], dict[str, Tensor]] = _nothing,
     ) -> None:
-        """Prepare nothing yet.
+        """Store the sources.
 
         Args:
             frames: All keyframes of the split.
             units: The frames of every unit.
-            order: Which units a step draws.
+            order: Draws the units of a step.
             config: Options of the training run.
-            device: Where batches shall be.
+            device: Device of the batches.
             recovery: Recovery states to mix in, if any.
-            text_tensors: Returns what the model needs of texts and names, as tensors.
+            text_tensors: Returns texts and names as tensors for the model.
         """
         self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order
@@ -135,7 +135,7 @@ class BatchLoader:
         return replace(batch, text_tensors=self._text_tensors(batch))
 
     def _drawn(self, step: int) -> Batch:
-        """Return the frames of a step as they are stored."""
+        """Return the frames of a step without augmentation."""
         size, recovery = self._order.batch_size, self._recovery
         first = last = 0
         if recovery is not None:
@@ -157,15 +157,15 @@ class BatchLoader:
 
         Args:
             first: Step of the first batch.
-            last: Step behind the last.
+            last: Step after the last.
 
         Yields:
-            The batches, in order; what goes wrong is raised where they are taken.
+            An iterator over the batches, in order; it raises errors of the thread.
         """
         own = None
         if self._device.type == "cuda":
             own = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
-            # The frames may just have been copied there.
+            # Frames may still be in a copy to the device.
             own.wait_stream(torch.cuda.default_stream(self._device))
         with ThreadPoolExecutor(1) as thread:
             steps = iter(range(first, last))
@@ -176,7 +176,7 @@ class BatchLoader:
                 thread.shutdown(wait=False, cancel_futures=True)
 
     def _made(self, step: int, own: Any) -> tuple[Batch, Any]:
-        """Return a batch, and the event of its being ready on a GPU."""
+        """Return a batch and, on a GPU, the event after its last operation."""
         if own is None:
             return self.make(step), None
         torch.cuda.set_device(self._device)
@@ -193,19 +193,19 @@ class BatchLoader:
                 for part in (vars(batch), vars(batch.labels), batch.text_tensors):
                     for tensor in part.values():
                         if isinstance(tensor, Tensor):
-                            # Else its memory would be reused while it is in use here.
+                            # Keep the allocator from reusing its memory too early.
                             tensor.record_stream(now)
             yield batch
 
 
 def joined(first: Batch, second: Batch, episodes: int) -> Batch:
-    """Return the frames of two labelled batches, of different data, as one.
+    """Concatenate two labelled batches of different data.
 
     Args:
-        first: With labels, on the same device and with the same raster as the second.
-        second: With labels.
-        episodes: How many the first one's data have: those of the second are numbered
-            behind them.
+        first: Batch with labels, on the same device and raster as the second.
+        second: Batch with labels.
+        episodes: Number of episodes in the first one's data, which is added to the
+            numbers of the second one's episodes.
     """
     assert first.labels is not None
     assert second.labels is not None
@@ -215,7 +215,7 @@ def joined(first: Batch, second: Batch, episodes: int) -> Batch:
 
 
 def _both(one: Any, other: Any) -> dict[str, Any]:
-    """Return the tensors and the lists of two records, joined."""
+    """Concatenate the tensors and lists of two records."""
     found: dict[str, Any] = {}
     for name, value in vars(one).items():
         if isinstance(value, Tensor):
@@ -232,17 +232,17 @@ def with_instructions(
     kinds: Sequence[str] = ("high_level", "human"),
     paraphrases: float = 0.0,
 ) -> Batch:
-    """Return a batch whose instructions are drawn from the templates for training.
+    """Return a batch with instructions drawn from the training templates.
 
-    All frames of an episode are given the same one.
+    All frames of an episode get the same instruction.
 
     Args:
-        batch: With labels, whose goals are said.
-        seed: Seeds all draws.
-        draw: A new one gives new sentences.
-        kinds: Kinds to draw from, each as likely.
-        paraphrases: Share of episodes whose sentence is made by rules, or put together
-            anew from parts of those templates.
+        batch: Batch with labels, which have the goals.
+        seed: Seed of all draws.
+        draw: Number of the draw; a new number gives new sentences.
+        kinds: Kinds to draw from, with equal probability.
+        paraphrases: Share of episodes with a sentence from the grammar, or recombined
+            from parts of the templates.
     """
     assert batch.labels is not None
     drawn: dict[int, str] = {}
@@ -265,12 +265,12 @@ def with_instructions(
 
 
 def with_language(batch: Batch, language: str, rng: np.random.Generator) -> Batch:
-    """Return a batch in which as much is said as a control allows.
+    """Return a batch with the instructions of a control experiment.
 
     Args:
-        batch: With labels.
-        language: ``"full"``; ``"none"``: nothing is said; or ``"shuffled"``: what is
-            said was said to another episode.
+        batch: Batch with labels.
+        language: ``"full"``: unchanged; ``"none"``: empty; ``"shuffled"``: those of
+            other episodes.
         rng: Random generator of the exchange.
     """
     if language == "full":
@@ -294,7 +294,7 @@ def with_language(batch: Batch, language: str, rng: np.random.Generator) -> Batc
 
 
 def _deranged(episodes: Sequence[int], rng: np.random.Generator) -> list[int]:
-    """Return for each episode another one, where there is one."""
+    """Return another episode for each episode, if there is more than one."""
     names = list(dict.fromkeys(episodes))
     order = rng.permutation(len(names)).tolist()
     after = dict(zip(order, [*order[1:], order[0]], strict=True))

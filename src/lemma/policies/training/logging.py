@@ -21,19 +21,19 @@ from lemma.core.errors import InvalidConfigError
 from lemma.policies.training.config import TrainingConfig
 
 LINE_EVERY_S = 10.0
-"""Between lines, where no terminal shows a bar."""
+"""Interval of lines without a terminal for the progress bar."""
 
 
 class Reporter(ExitStack):
     """Shows progress and writes logs; silent in all processes but the first."""
 
     def __init__(self, config: TrainingConfig, step: int, *, speaks: bool) -> None:
-        """Open what is written to.
+        """Prepare the reporter.
 
         Args:
             config: Options of the run, resolved.
-            step: From which it goes on.
-            speaks: Whether this process does so at all.
+            step: First step of this run.
+            speaks: Whether this process reports.
         """
         super().__init__()
         self._config, self._first_step, self.speaks = config, step, speaks
@@ -69,10 +69,10 @@ class Reporter(ExitStack):
         return self
 
     def step(self, step: int, values: Mapping[str, float]) -> None:
-        """Tell how training goes.
+        """Report the progress of training.
 
         Args:
-            step: Steps done.
+            step: Number of completed steps.
             values: ``loss``, ``samples_per_s`` and others.
         """
         if not self.speaks:
@@ -91,7 +91,7 @@ class Reporter(ExitStack):
             )
 
     def scores(self, step: int, scores: Mapping[str, float], *, best: bool) -> None:
-        """Tell how validation went."""
+        """Report the scores of a validation."""
         if not self.speaks:
             return
         self._write(step, {f"val/{name}": value for name, value in scores.items()})
@@ -99,7 +99,7 @@ class Reporter(ExitStack):
         self.say(f"step {step}: {text}{'  (best)' if best else ''}")
 
     def say(self, text: str) -> None:
-        """Print a line, beside the bar."""
+        """Print a line above the progress bar."""
         if self.speaks:
             console = self._bar.console if self._bar is not None else self._console
             console.print(text, markup=False, soft_wrap=True)
@@ -112,7 +112,7 @@ class Reporter(ExitStack):
 
 
 def gpu_memory_gb() -> float:
-    """Return the largest GPU memory in use so far; 0 on a CPU."""
+    """Return the peak GPU memory so far [GB]; 0 on a CPU."""
     if not torch.cuda.is_initialized():  # type: ignore[no-untyped-call]
         return 0.0
     return float(torch.cuda.max_memory_reserved()) / 1e9
@@ -132,6 +132,6 @@ def _wandb(config: TrainingConfig) -> Any:
         dir=str(config.out),
         config=config.to_dict(),
         resume="allow",
-        # A continued run has the same name again.
+        # The id depends on the folder alone, so a continued run has the same one.
         id=str(config.out.resolve()).replace("/", "-").strip("-")[-64:],
     )

@@ -1,10 +1,10 @@
 """The training loop of all models.
 
-It is what ``lemma train`` runs. On many GPUs, ``torchrun --nproc-per-node 8 -m
-lemma.policies.training.loop`` starts it, with the same words behind it.
+``lemma train`` runs it. On several GPUs, start it with ``torchrun --nproc-per-node 8 -m
+lemma.policies.training.loop`` and the same arguments.
 
-A run is continued from its last checkpoint, and its outcome is the same as if it had
-not been stopped, because all that is drawn is a function of the seed and the step.
+A run continues from its last checkpoint with the same result as an uninterrupted run,
+because all random numbers are functions of the seed and the step.
 """
 
 import math
@@ -60,7 +60,7 @@ from lemma.policies.weights_file import (
 )
 
 LOG_EVERY = 20
-"""Steps between readings of the losses, for which a GPU has to be waited for."""
+"""Steps between readings of the losses, each of which waits for the GPU."""
 
 
 class TrainingError(LemmaError, RuntimeError):
@@ -69,7 +69,7 @@ class TrainingError(LemmaError, RuntimeError):
 
 @dataclass
 class _Progress:
-    """Contents of a checkpoint beside the weights."""
+    """Contents of a checkpoint besides the weights."""
 
     elapsed_s: float = 0.0
     samples: int = 0
@@ -81,21 +81,21 @@ class _Progress:
 def train(
     config: TrainingConfig, *, restart: bool = False, command: str | None = None
 ) -> TrainingReport:
-    """Train a model, or continue a run that was stopped.
+    """Train a model, or continue an unfinished run.
 
     Args:
         config: Options of the training run.
-        restart: Start again from the beginning, even if the folder has a run.
-        command: The command line; if None, that of this process, which is ``lemma``.
+        restart: Whether to begin anew, even if the folder has a run.
+        command: The command line; if None, that of this process, ``lemma``.
 
     Returns:
-        How it went. The best weights are ``weights.safetensors`` in the run's folder.
+        The report. The best weights are ``weights.safetensors`` in the run's folder.
 
     Raises:
-        DatasetError: There is no data, or it is damaged or of another version; or
-            another run is in the folder.
+        DatasetError: The data are missing, damaged or of another version; or another
+            run is in the folder.
         UnknownNameError: There is no such model, option, split or task.
-        InvalidConfigError: An option is impossible.
+        InvalidConfigError: An option is invalid.
         WeightsError: The checkpoint is damaged.
         TrainingError: The GPU's memory is too small, or training diverged.
     """
@@ -118,7 +118,7 @@ class _Run:
     ) -> None:
         self.config, self.team, self.command = config, team, command
         self.model = first_model(config)
-        # Kernels are chosen by trying all, for every new shape: seconds each time.
+        # The benchmark tries all kernels for every new shape, which takes seconds.
         torch.backends.cudnn.benchmark = self.model.of_fixed_shape
         self.data: Data = read_frames(config, team, self.model.entities)
         if team.first:
@@ -146,7 +146,7 @@ class _Run:
         return FrameSource(frames, units, order, share)
 
     def go(self) -> TrainingReport:
-        """Train to the end, or until somebody stops it."""
+        """Train to the end, or until a signal stops the run."""
         config, trainer, source = self.config, self.trainer, self.data.train
         how = (
             self.order,
@@ -193,12 +193,12 @@ class _Run:
             return self._report(bool(stopped))
 
     def _done(self) -> float:
-        """Return how much of the training is done, 0 to 1."""
+        """Return the completed share of the training, 0 to 1."""
         limit = self.config.time_limit_s or math.inf
         return max(self.trainer.step / self.steps, self.so_far.elapsed_s / limit)
 
     def _log(self) -> None:
-        """Read the losses since the last time."""
+        """Read and report the losses since the last call."""
         if not self._losses:
             return
         names = list(self._losses[-1])
@@ -222,7 +222,7 @@ class _Run:
         )
 
     def _validate(self) -> None:
-        """Score the average weights, and keep them if they are the best."""
+        """Score the averaged weights, and save them if they are the best."""
         self._log()
         model, step, so_far = self.trainer.average, self.trainer.step, self.so_far
         scores = validate(model, self.data.val, self.config, self.team)
@@ -255,7 +255,7 @@ class _Run:
         self._logged = time.perf_counter()
 
     def _end(self) -> None:
-        """Score what was trained last, and keep all."""
+        """Score the last weights, and save the checkpoint."""
         history = self.so_far.history
         if not history or history[-1]["step"] != self.trainer.step:
             self._validate()
@@ -313,9 +313,9 @@ class _Run:
 
 @contextmanager
 def _stop_signals() -> Iterator[threading.Event]:
-    """Yield an event that is set when this process is asked to end.
+    """Yield an event that the first Ctrl-C or SIGTERM sets.
 
-    The second Ctrl-C ends it at once.
+    The second Ctrl-C ends the process at once.
     """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
@@ -355,7 +355,7 @@ def main(
 
     Args:
         config: Options of the training run.
-        restart: Start again from the beginning, even if the folder has a run.
+        restart: Begin anew, even if the folder has a run.
     """
     words = shlex.join(sys.argv[1:])
     count = os.environ.get("WORLD_SIZE", "1")

@@ -1,4 +1,4 @@
-"""The beginning of a training run: its data, its first weights, its folder."""
+"""Preparation of a training run: data, initial weights, folder, and its report."""
 
 import hashlib
 import json
@@ -39,29 +39,29 @@ _BYTES_PER_CELL = 5
 
 @dataclass(frozen=True)
 class Data:
-    """Training data, and validation data to choose the best weights by."""
+    """Training data, and validation data for the selection of the best weights."""
 
     train: Frames
     val: Frames
     about: dict[str, Any]
     """Version and digest."""
     recovery: Frames | None = None
-    """Recovery states of the instances that are trained on."""
+    """Recovery states of the training instances."""
 
 
 def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     """Return version and digest of rendered keyframes.
 
-    The digest is of what decides every bit of them: the episodes of the recipe, the
-    form, the software and what drew them.
+    The digest covers everything that determines their bits: the episodes of the recipe,
+    the form, the software and the renderer.
 
     Args:
-        folder: Where they are.
-        recovery: Whether they shall be recovery states, and not demonstrations.
+        folder: Folder of the keyframes.
+        recovery: Whether to expect recovery states instead of demonstrations.
 
     Raises:
-        DatasetError: There are none, or they are of another version, or of the other
-            sort.
+        DatasetError: The folder is missing, of another version, or does not have the
+            expected kind of data.
     """
     if not folder.is_dir():
         raise DatasetError(
@@ -86,9 +86,9 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
     if perturbed_as(found) and not recovery:
         raise DatasetError(
             f"{folder} holds {executions(found)}. They are mixed in with --recovery; "
-            "--data takes demonstrations, by which the best weights are chosen."
+            "--data takes demonstrations, which select the best weights."
         )
-    # The files' own checksums would not do: the revision that drew them is in them.
+    # Not the files' checksums: the files contain the revision that rendered them.
     decisive = {name: found[name] for name in found if name != "revision"}
     content = {
         name: entry.get("content_sha256", entry["sha256"])
@@ -108,11 +108,11 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
 def read_frames(
     config: TrainingConfig, team: ProcessGroup, entities: EntitySet = BENCHMARK
 ) -> Data:
-    """Read both splits, to the device if it has room for them.
+    """Read both splits, to the device if they fit.
 
     Args:
-        config: Options that select them.
-        team: The processes that train together.
+        config: Options of the training run.
+        team: The process group.
         entities: Entities of the model.
 
     Raises:
@@ -152,7 +152,7 @@ def read_frames(
 def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.device:
     if device.type == "cpu" or config.images == "host":
         return torch.device("cpu")
-    # From the host they come nearly as fast, and the memory has better uses.
+    # Loading from the host is nearly as fast, and leaves device memory free.
     enough = size < torch.cuda.mem_get_info(device)[0] / 10
     return device if enough or config.images == "device" else torch.device("cpu")
 
@@ -160,16 +160,16 @@ def _place(config: TrainingConfig, device: torch.device, size: int) -> torch.dev
 def recovery_units(
     model: Model, recovery: Frames, units: Sequence[Sequence[int]], train: Frames
 ) -> list[Sequence[int]]:
-    """Return the frames of each unit of recovery states that may be mixed in.
+    """Return the frames of each unit of recovery states to mix in.
 
     Args:
-        model: Defines what a unit is.
+        model: Model, which determines the units.
         recovery: Recovery states.
         units: Units of the training set; states of other instances are left out.
-        train: The frames of those units.
+        train: Frames of the training set.
 
     Raises:
-        DatasetError: There is none of these instances.
+        DatasetError: No recovery state is of a training instance.
     """
     known = {train.instances[frame] for unit in units for frame in unit}
     found: list[Sequence[int]] = [
@@ -179,8 +179,8 @@ def recovery_units(
     ]
     if not found:
         raise DatasetError(
-            "The recovery states are all of other instances than those that are "
-            "trained on. Perturb the same tasks, splits and episodes."
+            "No recovery state is of a training instance. Perturb the same tasks, "
+            "splits and episodes."
         )
     return units_of(model, found)
 
@@ -191,7 +191,7 @@ def training_units(
     """Return the frames of each unit to train on.
 
     Raises:
-        InvalidConfigError: There are not so many episodes.
+        InvalidConfigError: The split has fewer episodes than the options select.
     """
     episodes: list[Sequence[int]] = list(frames.episodes)
     if config.episodes_per_task is not None:
@@ -208,7 +208,11 @@ def training_units(
 
 
 def _first_of_each_task(frames: Frames, count: int) -> list[Sequence[int]]:
-    """Return so many episodes of each task, those with the lowest numbers."""
+    """Return the first ``count`` episodes of each task.
+
+    Raises:
+        InvalidConfigError: A task has fewer episodes.
+    """
     listed: dict[str, list[Sequence[int]]] = {}
     for episode in sorted(frames.episodes, key=lambda one: frames.instances[one[0]]):
         listed.setdefault(frames.tasks[episode[0]], []).append(episode)
@@ -222,12 +226,12 @@ def _first_of_each_task(frames: Frames, count: int) -> list[Sequence[int]]:
 
 
 def first_model(config: TrainingConfig) -> Model:
-    """Return the model with its first weights, a function of the seed.
+    """Return the model with its initial weights, a function of the seed.
 
     Raises:
         UnknownNameError: There is no such model or option.
-        WeightsError: It shall start from weights that cannot be used.
-        InvalidConfigError: They are of another model.
+        WeightsError: The initial weights are missing or damaged.
+        InvalidConfigError: The initial weights are of another model.
     """
     kind, _ = MODELS[config.model]
     chosen = model_options(config.options)
@@ -251,11 +255,11 @@ def first_model(config: TrainingConfig) -> Model:
 def open_run(
     config: TrainingConfig, model: Model, data: dict[str, Any], command: str
 ) -> None:
-    """Write the configuration of a run, or check that it is still the same.
+    """Write the configuration of a run, or check that it has not changed.
 
     Args:
-        config: Resolved.
-        model: Model whose options are written, too.
+        config: Resolved options.
+        model: Model, whose options are written, too.
         data: Version and digest of the data.
         command: The command line.
 
@@ -281,7 +285,7 @@ def open_run(
 
 
 def clear_run(folder: Path) -> None:
-    """Remove what a run left behind, so that it begins anew."""
+    """Remove the files of a run."""
     for name in (CONFIG, CHECKPOINT, WEIGHTS, REPORT):
         (folder / name).unlink(missing_ok=True)
     for log in (folder / "tensorboard").glob("events.*"):
@@ -290,32 +294,32 @@ def clear_run(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """How a run went; written as ``report.json``."""
+    """Summary of a run, written as ``report.json``."""
 
     status: str
     """``finished``, ``time is up`` or ``interrupted``."""
     model: str
     parameters: int
-    """Trained ones."""
+    """Number of trainable parameters."""
     steps: int
     samples: int
-    """Frames that were trained on."""
+    """Number of drawn frames."""
     passes: float
-    """How often each frame was seen, of demonstrations."""
+    """Number of epochs over the demonstrations."""
     seconds: float
-    """Seconds of training, in all runs."""
+    """Seconds of training, summed over continued runs."""
     samples_per_s: float
-    """Frames per second in this run, validation and checkpoints left out."""
+    """Frames per second in this run, without validation and checkpoints."""
     input_wait: float
-    """Share of that time in which the model waited for its batch, 0 to 1."""
+    """Share of that time in which the model waited for a batch, 0 to 1."""
     gpu_memory_gb: float
-    """Largest, of this run."""
+    """Peak memory of this run."""
     device: str
     scores: Scores
-    """Scores of the best weights, in validation."""
+    """Validation scores of the best weights."""
     best_step: int
     scores_by_kind: dict[str, Scores]
-    """The same, for each kind of instruction alone; when a run is over."""
+    """Validation scores by kind of instruction, after the end of the run."""
     history: list[dict[str, float]]
     """All validations."""
     data: dict[str, Any]

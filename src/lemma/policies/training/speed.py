@@ -1,4 +1,4 @@
-"""How fast a model learns, and how busy its GPU is meanwhile."""
+"""Measurement of training speed and GPU utilisation."""
 
 import subprocess
 import threading
@@ -17,25 +17,25 @@ from lemma.policies.training.run import first_model, read_frames, training_units
 from lemma.policies.training.step import Trainer
 
 WARM_UP, STEPS = 8, 60
-"""Steps that are not counted, in which kernels are compiled and captured; and others
-that are, on a GPU."""
+"""Numbers of warm-up steps, in which kernels are compiled and captured, and of measured
+steps on a GPU."""
 ON_CPU = 1, 3
-"""The same on a CPU, which has nothing to prepare and takes seconds for a frame."""
+"""Numbers of warm-up and of measured steps on a CPU, which takes seconds per frame."""
 _FEW = 2
-"""Frames, or episodes, in a batch on a CPU."""
+"""Number of frames, or episodes, in a batch on a CPU."""
 _EVERY_MS = 100
 
 
 def measure_training(config: TrainingConfig) -> dict[str, float]:
-    """Train for some steps that nobody keeps.
+    """Measure some training steps; the weights are discarded.
 
     Args:
         config: Options of the training run.
 
     Returns:
-        ``samples_per_s``, ``frames_per_s``, ``gpu_busy``: share of the time in which
-        some kernel ran, NaN without a GPU; ``gpu_memory_gb``; and ``start_s``: until
-        the first step that is counted.
+        ``samples_per_s``; ``frames_per_s``; ``gpu_busy``, the share of the time in
+        which a kernel ran, NaN without a GPU; ``gpu_memory_gb``; and ``start_s``, the
+        time until the first measured step.
     """
     with processes(config.device) as team:
         begun = time.perf_counter()
@@ -88,7 +88,7 @@ def _wait(device: torch.device) -> None:
 
 @contextmanager
 def _busy(device: torch.device) -> Iterator[list[float]]:
-    """Yield a list that is filled with the share of time in which the GPU is busy."""
+    """Yield a list, to which samples of the GPU's utilisation [%] are added."""
     found: list[float] = []
     if device.type != "cuda":
         yield found

@@ -1,4 +1,4 @@
-"""One step of training, all that must be kept for the next one, and validation."""
+"""One training step, the state between steps, and validation."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,11 +23,11 @@ from lemma.policies.training.distributed import ProcessGroup
 from lemma.policies.training.loader import with_instructions, with_language
 
 Scores = dict[str, float]
-"""Mean scores by name, without those for which no frame counts."""
+"""Mean scores by name, without scores that no frame has."""
 
 
 class _Losses(nn.Module):
-    """The losses of a model as a forward pass, as data parallelism wants them."""
+    """A model's losses as a forward pass, for distributed data parallelism."""
 
     def __init__(self, model: Model) -> None:
         super().__init__()
@@ -43,12 +43,12 @@ class Trainer:
     def __init__(
         self, model: Model, config: TrainingConfig, team: ProcessGroup
     ) -> None:
-        """Begin at step 0.
+        """Prepare step 0.
 
         Args:
-            model: With its first weights.
-            config: Resolved.
-            team: The processes that train together.
+            model: Model with its initial weights.
+            config: Resolved options.
+            team: The process group.
         """
         self.config, self.team, self.step = config, team, 0
         layout = torch.channels_last if config.channels_last else torch.preserve_format
@@ -67,7 +67,7 @@ class Trainer:
         self._values = [value for _, value in floats]
         self._counts = [pair for pair in pairs if not pair[0].is_floating_point()]
         if config.compile and team.device.type == "cuda":
-            # Where shapes are fixed, kernels for other shapes take long and are slower.
+            # For fixed shapes, dynamic kernels take longer to compile and are slower.
             compile_parts(self.model, False if self.model.of_fixed_shape else None)
         losses: Any = _Losses(self.model)
         if team.count > 1:
@@ -82,19 +82,19 @@ class Trainer:
         )
 
     def train(self, batch: Batch, progress: float) -> dict[str, Tensor]:
-        """Do one step.
+        """Run one step.
 
         Args:
-            batch: With labels.
-            progress: How much of the training is done, 0 to 1.
+            batch: Batch with labels.
+            progress: Completed share of the training, 0 to 1.
 
         Returns:
-            The terms of the loss, their sum ``loss``, and ``gradient``, its norm
-            before clipping; not yet known to the CPU.
+            The terms of the loss, their sum ``loss``, and ``gradient``, the norm of the
+            gradient before clipping; on the device, without synchronisation.
         """
         config = self.config
-        # Dropout draws from torch's global state. A seed for each step makes it a
-        # function of the step, so that nothing has to be kept to go on.
+        # Dropout uses torch's global random state. A seed for each step makes it a
+        # function of the step, so that a checkpoint needs no random state.
         torch.manual_seed(seed_of(config.seed, self.step, self.team.rank))
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(config, self.step, progress)
@@ -109,7 +109,7 @@ class Trainer:
         return {**terms, "gradient": norm.detach()}
 
     def _gradients(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses of a batch, and leave the gradients at the weights."""
+        """Return the losses of a batch, and set the gradients of the weights."""
         with autocast(self.config, self.team.device):
             terms: dict[str, Tensor] = self._losses(batch)
         loss = torch.stack([term.float() for term in terms.values()]).sum()
@@ -118,7 +118,7 @@ class Trainer:
         return {**detached, "loss": loss.detach()}
 
     def _captured_gradients(self, batch: Batch) -> dict[str, Tensor] | None:
-        """Return the same by a captured step; None where the batch does not fit."""
+        """Run :meth:`_gradients` as a captured step; None if the batch does not fit."""
         if self._captured is None:
 
             def compute(static: Batch) -> dict[str, Tensor]:
@@ -130,14 +130,14 @@ class Trainer:
 
     @torch.no_grad()
     def _average(self) -> None:
-        # A slow average would remember the first weights for too long.
+        # A faster decay at first, so that the initial weights vanish from the average.
         decay = min(self.config.ema, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(self._averages, self._values, 1.0 - decay)
         for old, new in self._counts:
             old.copy_(new)
 
     def state(self) -> dict[str, Any]:
-        """Return all that is needed to go on; no random state is part of it."""
+        """Return the state to continue from, without random states."""
         return {
             "step": self.step,
             "model": self.model.state_dict(),
@@ -146,7 +146,7 @@ class Trainer:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what :meth:`state` returned."""
+        """Restore a state from :meth:`state`."""
         self.step = state["step"]
         self.model.load_state_dict(state["model"])
         self.average.load_state_dict(state["average"])
@@ -154,15 +154,14 @@ class Trainer:
 
 
 def compile_parts(module: nn.Module, dynamic: bool | None = None) -> None:
-    """Compile the parts of a model that are networks of tensors.
+    """Compile the :class:`~lemma.policies.layers.Network` parts of a model.
 
-    Sentences and numbers of things are constants to the compiler: whole models would
-    be compiled anew for every batch.
+    The compiler treats sentences and numbers of entities as constants, so it would
+    compile a whole model anew for every batch.
 
     Args:
         module: The model.
-        dynamic: Whether kernels shall be for all shapes; where they are compiled for a
-            second shape if None.
+        dynamic: Whether to compile for all shapes; if None, from the second shape on.
     """
     for part in module.children():
         if isinstance(part, Network):
@@ -172,12 +171,12 @@ def compile_parts(module: nn.Module, dynamic: bool | None = None) -> None:
 
 
 def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
-    """Return the learning rate of a step: a line up, then a cosine to zero.
+    """Return the learning rate of a step: linear warm-up, then a cosine to zero.
 
     Args:
-        config: Resolved.
-        step: Steps done.
-        progress: How much of the training is done, 0 to 1.
+        config: Resolved options.
+        step: Number of completed steps.
+        progress: Completed share of the training, 0 to 1.
     """
     warm = min(1.0, (step + 1) / max(1, config.warmup_steps))
     cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, progress)))
@@ -185,12 +184,12 @@ def learning_rate(config: TrainingConfig, step: int, progress: float) -> float:
 
 
 def seed_of(seed: int, step: int, rank: int = 0) -> int:
-    """Return a seed for what torch draws in a step."""
+    """Return the seed of torch's random numbers in a step."""
     return int(stream("torch", seed, step, rank).integers(2**62))
 
 
 def _groups(model: Model, weight_decay: float) -> list[dict[str, Any]]:
-    """Return the weights, with decay for matrices and kernels only."""
+    """Return parameter groups, with weight decay for matrices and kernels only."""
     trained = [value for value in model.parameters() if value.requires_grad]
     matrices = [value for value in trained if value.ndim > 1]
     others = [value for value in trained if value.ndim <= 1]
@@ -201,7 +200,7 @@ def _groups(model: Model, weight_decay: float) -> list[dict[str, Any]]:
 
 
 def write_state(path: Path, state: dict[str, Any]) -> None:
-    """Write the state of a training run, whole or not at all.
+    """Write the state of a training run, atomically.
 
     Args:
         path: The file.
@@ -239,11 +238,11 @@ def validate(
     """Return the mean scores of a model over all frames of a split.
 
     Args:
-        model: In evaluation mode.
+        model: Model in evaluation mode.
         frames: Frames of the split.
-        config: Options of the training run: batch size, kinds of sentences, control.
-        team: Processes, each of which does a part.
-        kinds: Kinds of sentences, if not those of the training run.
+        config: Options of the training run: batch size, kinds of instructions, control.
+        team: The process group, which shares the batches.
+        kinds: Kinds of instructions; those of the training run if empty.
     """
     units = units_of(model, frames.episodes)
     batch_size = config.batch_size or 1
@@ -271,7 +270,7 @@ def validate(
 
 
 def units_of(model: Model, episodes: Sequence[Sequence[int]]) -> list[Sequence[int]]:
-    """Return the frames of each unit that a model is trained on."""
+    """Return the frames of each training unit of a model."""
     if model.unit == "episode":
         return list(episodes)
     return [(frame,) for episode in episodes for frame in episode]

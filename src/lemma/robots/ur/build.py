@@ -28,6 +28,7 @@ from lemma.robots.geometry import (
     set_inertia,
 )
 from lemma.robots.gripper_body import add_gripper
+from lemma.robots.hand import STANDARD
 from lemma.robots.ur.arms import ARMS, JOINTS, LINKS, ArmSpec
 from lemma.robots.ur.meshes import LID, looks
 
@@ -45,7 +46,12 @@ _LID_BLUE: Rgba = (0.45, 0.66, 0.82, 1.0)
 
 
 def add_arm(
-    spec: mujoco.MjSpec, arm: ArmSpec, prefix: str, base: Pose2, color: str
+    spec: mujoco.MjSpec,
+    arm: ArmSpec,
+    prefix: str,
+    base: Pose2,
+    color: str,
+    hand: str = STANDARD,
 ) -> None:
     """Add an arm with its gripper to a scene.
 
@@ -55,6 +61,7 @@ def add_arm(
         prefix: Name of the robot; every name of its parts begins with it.
         base: World from base.
         color: A name in :data:`COLORS`.
+        hand: A name in :data:`~lemma.robots.hand.HANDS`.
 
     Raises:
         UnknownNameError: No robot has that color.
@@ -85,7 +92,7 @@ def add_arm(
         _weigh(body, arm.link_masses[index], solids[link][0])
         d, a, rotation = rows[index]
         position = (a, 0.0, d)
-    add_gripper(spec, body, prefix, arm.d6)
+    add_gripper(spec, body, prefix, arm.d6, hand)
     # MuJoCo excludes contacts between parent and child, but not for the fixed base.
     spec.add_exclude(bodyname1=f"{prefix}/base", bodyname2=f"{prefix}/shoulder")
 

@@ -4,6 +4,8 @@ import math
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2
+from lemma.robots.geometry import DARK, VISUAL_GROUP
+from lemma.robots.hand import RUBBER_FRICTION, RUBBER_SOLIMP, RUBBER_SOLREF
 from lemma.scene.objects.entity import Entity
 from lemma.scene.objects.kind import Part
 
@@ -13,6 +15,11 @@ CONTACT_SOLIMP = (0.98, 0.999, 0.0005, 0.5, 2.0)
 OBJECT_FRICTION = (0.25, 0.01, 0.0002)
 """Sliding, torsional [m] and rolling [m] friction of waxed wood. With more friction, a
 pushed cube stutters and hops."""
+
+_RIM_M = 0.0035
+"""Half the width of a rim."""
+_PROUD_M = 0.0003
+"""By how much it stands out, so that it is seen."""
 
 FALLEN = 2
 """Contact bit of the floor and of movable objects; arms do not collide with the floor.
@@ -31,7 +38,9 @@ def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
 
 
-def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBody:
+def add_object(
+    spec: mujoco.MjSpec, entity: Entity, pose: Pose2, mass_kg: float | None = None
+) -> mujoco.MjsBody:
     """Add one object on the table to the world body.
 
     An object that is not fixed to the table is a free body; its joint has its name.
@@ -40,6 +49,8 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
         spec: The MuJoCo specification of the scene, with angles in radians.
         entity: The entity.
         pose: World from object.
+        mass_kg: Mass of an object that has another one than its kind, of one part [kg].
+            It then has a skin of rubber, and dark rims, which are only visible.
 
     Returns:
         The body, which has the entity's name.
@@ -56,7 +67,48 @@ def add_object(spec: mujoco.MjSpec, entity: Entity, pose: Pose2) -> mujoco.MjsBo
         _add_part(body, entity, part)
     if kind.build is not None:
         kind.build(spec, body, name)
+    if mass_kg is not None:
+        _make_heavy(spec.geom(name), mass_kg)
+        _add_rims(body, kind.parts[0])
     return body
+
+
+def _make_heavy(geom: mujoco.MjsGeom, mass_kg: float) -> None:
+    """Give an object a mass of its own, and a skin of the fingers' rubber.
+
+    Its friction is the same on all that it touches. So a hand that presses it against
+    something and rises does not lift it: it is held back as much as it is lifted.
+    """
+    geom.mass = mass_kg
+    geom.priority = 1
+    geom.friction = RUBBER_FRICTION
+    geom.solref = RUBBER_SOLREF
+    geom.solimp = RUBBER_SOLIMP
+
+
+def _add_rims(body: mujoco.MjsBody, part: Part) -> None:
+    """Draw a dark bar along each edge of a box; nothing touches them."""
+    half = part.size_m
+    for along in range(3):
+        for first in (-1.0, 1.0):
+            for second in (-1.0, 1.0):
+                side = iter((first, second))
+                middle = [
+                    0.0 if axis == along else next(side) * (half[axis] - _RIM_M)
+                    for axis in range(3)
+                ]
+                size = [_RIM_M + _PROUD_M] * 3
+                size[along] = half[along] + _PROUD_M
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    pos=middle,
+                    size=size,
+                    rgba=DARK,
+                    group=VISUAL_GROUP,
+                    contype=0,
+                    conaffinity=0,
+                    mass=0.0,
+                )
 
 
 def _add_part(body: mujoco.MjsBody, entity: Entity, part: Part) -> None:

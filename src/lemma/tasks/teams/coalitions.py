@@ -5,7 +5,9 @@ coalition is kept from ``On(top, bottom)`` where none of it could touch the top,
 could touch the bottom or put anything on it, or nothing could get from those who could
 do the one to those who could do the other. All of that is said of what robots *could*
 do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
-that is pushed gets farther than a hand, and so does a plank that is held by its end.
+that is pushed gets farther than a hand, and so does a plank that is held by its end. A
+robot for which a top is too heavy could not get it onto something as high as the top
+itself, unless there is a lower rim.
 """
 
 from collections.abc import Iterable, Sequence
@@ -52,6 +54,8 @@ class Lack:
     """Robots that could touch the top."""
     putters: tuple[int, ...]
     """Robots that could put something on the bottom."""
+    is_too_heavy: bool = False
+    """Whether the top is too heavy for every robot that could touch it otherwise."""
 
     @property
     def things(self) -> tuple[str, ...]:
@@ -72,6 +76,8 @@ class Lack:
             f"the {entity_named(name).phrase}"
             for name in (self.part.top, self.part.bottom)
         )
+        if self.is_too_heavy:
+            return f"No robot that reaches {top} can carry it."
         if not self.getters:
             return f"No robot reaches {top}."
         if not self.putters:
@@ -142,10 +148,28 @@ class _Coalition:
         # A cube that stands on one that is pushed slides or tips over where it stops.
         tower_m = row_m + 2.0 * top.entity.kind.side_m if row_m else 0.0
         putters = self._touching(bottom) + self._within(bottom, tower_m)
+        raising = [r for r in getters if self._could_raise(r, top, bottom)]
+        if getters and not raising:
+            return Lack(on, (), (), is_too_heavy=True)
+        getters = raising
         groups = self._groups(top.entity.kind, row_m)
         if any(group & set(getters) and group & set(putters) for group in groups):
             return None
-        return Lack(on, *(tuple(sorted(set(who))) for who in (getters, putters)))
+        return Lack(on, tuple(sorted({*getters})), tuple(sorted({*putters})))
+
+    def _could_raise(
+        self, robot: int, top: ObjectPlacement, bottom: ObjectPlacement
+    ) -> bool:
+        """Whether a robot that touches a thing might get it onto another.
+
+        It carries it; or pushes it over a rim that is lower than the thing is high, of
+        the other or of a pad from which it would go on.
+        """
+        steps = (p for p in self._placed.values() if p.entity.kind.fixed)
+        rims = (bottom, *(p for p in steps if robot in self._touching(p)))
+        return not self._territory.robots[robot].overload("", top) or any(
+            rim.entity.kind.height_m < top.entity.kind.height_m for rim in rims
+        )
 
     def _touching(self, placed: ObjectPlacement) -> list[int]:
         """Return who could do anything to a thing with a hand and what it holds."""

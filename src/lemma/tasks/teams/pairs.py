@@ -6,7 +6,7 @@ the same two stand the other way round: the types of the arms do not tell.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -16,19 +16,24 @@ from lemma.core.poses import FloatArray
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.spec import RobotPlacement
+from lemma.tasks import library  # noqa: F401 - adds the task
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.instance import LARGEST_INDEX, Instance
 from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.sampling import sample
-from lemma.tasks.suite import TASKS
+from lemma.tasks.task import TASKS
 from lemma.tasks.teams.coalitions import Lack, lack_of
 from lemma.tasks.zones import Mask, Territory, Zone
 
 ABLE, UNABLE = "able", "unable"
 """Splits of the two instances of a pair."""
+PAIRS = "pairs"
+"""Split that has the instances of the test pairs one after another; see
+:func:`instance_of_pair`."""
 TEST_PAIRS = 60
 """The pairs 0 to 59 are the test list."""
-_TASK = "pass"
+PAIR_TASK = "pass"
+"""The task that all of them are of."""
 _TEAMS = (
     (("ur10", "ur10"), ("ur5", "ur5")),
     (("ur5", "ur10"), ("ur10", "ur5")),
@@ -67,7 +72,7 @@ def sample_pair(index: int) -> Pair:
     number = whole("index", index, 0, LARGEST_INDEX)
     large, small = _TEAMS[number % len(_TEAMS)]
     out = _OUT[number // len(_TEAMS) % len(_OUT)]
-    task = replace(TASKS[_TASK], arrange=partial(_arrange, small=small, out=out))
+    task = replace(TASKS[PAIR_TASK], arrange=partial(_arrange, small=small, out=out))
     for attempt in range(_ATTEMPTS):
         able = sample(task, ABLE, number, attempt=attempt, team=large).instance
         robots = _with_arms(able.scene.robots, small)
@@ -76,6 +81,36 @@ def sample_pair(index: int) -> Pair:
             scene = replace(able.scene, robots=robots)
             return Pair(able, replace(able, split=UNABLE, scene=scene), lack, attempt)
     raise SamplingError(f"No table of {_ATTEMPTS} is a pair of number {number}.")
+
+
+def instance_of_pair(index: int) -> Instance:
+    """Return an instance of the split :data:`PAIRS`.
+
+    Args:
+        index: From 0: twice the number of the pair for the team that can, and one more
+            for the team that cannot.
+
+    Raises:
+        InvalidConfigError: The index is no number, or out of range.
+    """
+    number = whole("index", index, 0, 2 * TEST_PAIRS - 1)
+    pair = _frozen_pair(number // 2)
+    found = pair.unable if number % 2 else pair.able
+    return replace(found, split=PAIRS, index=number)
+
+
+def lack_in(index: int) -> Lack | None:
+    """Return what the team of an instance of the split :data:`PAIRS` lacks.
+
+    Args:
+        index: As of :func:`instance_of_pair`.
+    """
+    return _frozen_pair(index // 2).lack if index % 2 else None
+
+
+@lru_cache
+def _frozen_pair(number: int) -> Pair:
+    return sample_pair(number)
 
 
 def _arrange(placer: ObjectPlacer, small: tuple[str, ...], out: str) -> Goal:

@@ -1,1 +1,1 @@
-"""The episode of a page in a thread of its own, and commands to it."""
+"""The episode of a page, in its own thread, and commands to it."""

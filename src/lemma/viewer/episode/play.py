@@ -1,12 +1,12 @@
-"""One episode on the page: a thread of its own sets the table, and acts.
+"""One episode on the page; its own thread sets the table and acts.
 
-The thread goes through ``Phase`` from setting the table to an end. Other threads ask
-for changes in three ways, and the simulation carries them out between two ticks:
-the transport lets it go on or wait, :meth:`Play.nudge` moves a thing, and
-:meth:`Play.take_over` breaks off a sub-task, so that a visitor leads.
+The thread goes through the phases of ``Phase`` to an end. Other threads request changes
+in three ways, which the simulation carries out between two ticks: the transport lets it
+continue or wait, :meth:`Play.nudge` moves an object, and :meth:`Play.take_over`
+interrupts a sub-task, so that a visitor leads.
 
-Two plays share loaded policies alone. A play whose policy hangs is left behind, and the
-next one begins beside it.
+Two plays share only loaded policies. If a policy hangs, its play is abandoned, and the
+next one runs in another thread.
 """
 
 import threading
@@ -70,39 +70,39 @@ class Play:
         steps: bool = False,
         speed: float = 1.0,
     ) -> None:
-        """Set the table in another thread, and act there if that is wanted.
+        """Start the thread.
 
         Args:
             request: Table, sentence and policy.
-            load: Loads policies by their names.
-            acts: Whether to act; else the table is set, and no more.
+            load: Function that loads a policy by its name.
+            acts: Whether to act; otherwise only the table is set.
             steps: Whether to pause after the first sub-task.
-            speed: How many times real time it is played.
+            speed: Speed of playback, as a multiple of real time.
         """
         self.request, self.acts, self._steps = request, acts, steps
         self.transport = Transport(speed)
         self.instance: Instance | None = None
         self.scene: Scene | None = None
-        """Of the simulation: its model may be read, its data belong to the thread."""
+        """The simulation's scene; other threads may read its model, not its data."""
         self.rollout: Rollout | None = None
         self.watch: TeamWatch | None = None
-        """Of the simulation."""
+        """The simulation's instance."""
         self.explanations: tuple[Explanation, ...] = ()
-        """Why and how each sub-task was done, oldest first."""
+        """Reasons and path of each sub-task, oldest first."""
         self.teleoperator: Teleoperator | None = None
-        """Of the visitor who leads, or led last; None if nobody did."""
+        """The visitor's commands, of the present or last takeover; None without one."""
         self._log = EpisodeLog()
         self._controls = False
-        """Whether the policy commands motors, so that nobody can take over."""
+        """Whether the policy sends motor commands, so that nobody can take over."""
         self._taking = threading.Lock()
         self._leader: Literal["policy", "asked", "visitor"] = "policy"
-        """Source of decisions; a visitor who has asked follows when the simulation next
-        looks, and the policy leads until then."""
+        """Source of decisions. After a request to take over, the policy leads until the
+        simulation next checks."""
         self.led_first = ""
         """Name of the robot that was acting when a visitor took over."""
         self._goal_is_known = True
         self.moved: Moved | None = None
-        """The latest change of a thing by a visitor during the episode."""
+        """Result of the latest :meth:`nudge` during the episode."""
         self._load = load
         self._board = StatusBoard()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -114,19 +114,19 @@ class Play:
         return self._board.status
 
     def leave(self, wait_s: float = 0.0) -> bool:
-        """Abandon it.
+        """Abandon the episode.
 
         Args:
-            wait_s: How long to wait for its end [s].
+            wait_s: Longest time to wait for the end of its thread [s].
 
         Returns:
-            Whether it has ended; a policy that hangs keeps it alive.
+            Whether the thread has ended; it runs while a policy hangs.
         """
         self.transport.abandon()
         return self.wait(wait_s)
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end, and return whether it has come."""
+        """Return whether its thread ends within a time [s]."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
@@ -149,7 +149,7 @@ class Play:
 
     @property
     def can_hand_back(self) -> bool:
-        """Whether a policy can go on."""
+        """Whether a visitor leads and there is a policy to continue."""
         return self.is_led and not self._controls
 
     @property
@@ -158,40 +158,40 @@ class Play:
         return self._log.by_hand
 
     def take_over(self) -> None:
-        """Let a visitor lead from now on; the running sub-task is broken off.
+        """Let a visitor lead from now on; interrupt the running sub-task.
 
         Raises:
-            InvalidConfigError: Nothing is done that could be taken over.
+            InvalidConfigError: No episode runs, or a visitor or motor commands lead.
         """
         if self._goes_on and self._controls:
             raise InvalidConfigError(
-                "This policy commands motors, and is not asked in between. Choose the "
+                "This policy sends motor commands, so nobody can take over. Choose the "
                 "policy 'by hand' to lead from the beginning."
             )
         with self._taking:
-            # Two visitors may press at the same time: one leads.
+            # If two visitors press at the same time, one of them leads.
             if not self.can_be_taken_over:
                 raise InvalidConfigError(
-                    "Robots are taken over while an episode goes on, and nobody leads."
+                    "You can take over while an episode runs and no visitor leads."
                 )
             self._leader, self.teleoperator = "asked", Teleoperator()
             self.transport.interrupt()
 
     def hand_back(self) -> None:
-        """Let the policy go on from where the robots are now."""
+        """Let the policy continue from the present state."""
         if self.teleoperator is not None and self.can_hand_back:
             self.teleoperator.is_done = True
             self.transport.play()
 
     def kept(self) -> Teleoperation:
-        """Return the log so far, of the policy and by hand.
+        """Return the log of the policy's and the visitor's actions so far.
 
         Raises:
-            InvalidConfigError: Nothing was done by hand.
+            InvalidConfigError: No visitor acted, or the policy sends motor commands.
         """
         if self._controls and self.teleoperator is None:
             raise InvalidConfigError("Motor commands of policies are not kept.")
-        # The log and the state belong together: no visitor changes them meanwhile.
+        # Keep visitors from changing the state between reading it and the log.
         with self.transport.changing:
             latest = self.transport.latest
             if self.instance is None or latest is None or not self._log.by_hand:
@@ -199,13 +199,13 @@ class Play:
             return self._log.kept(self.instance, self.status.said, latest)
 
     def nudge(self, name: str, pose: Pose2) -> None:
-        """Move an object while the episode goes on, and pause there.
+        """Move an object while the episode runs, and pause.
 
         The result is in :attr:`moved`.
 
         Args:
-            name: Of the object.
-            pose: Where it shall lie.
+            name: Name of the object.
+            pose: New pose of the object in the world's frame.
         """
         rollout = self.rollout
         assert rollout is not None
@@ -234,7 +234,7 @@ class Play:
         except AbandonedError:
             pass
         except Exception as error:
-            # The page reports any error, and stays alive.
+            # The page reports any error and continues.
             what = str(error) if isinstance(error, LemmaError) else repr(error)
             self._board.tell(Phase.BROKEN, note=what)
         finally:
@@ -247,7 +247,7 @@ class Play:
         kind, control = request.saying, LanguageControl()
         if kind == OWN_WORDS:
             kind, control = "high_level", LanguageControl(request.text)
-            # The goal of a sentence of the benchmark is known, for any policy.
+            # For a sentence of the benchmark, the goal is known with any policy.
             reading = parse_goal(request.text, instance)
             self._goal_is_known = reading.acts
             if reading.acts and reading.pairs:
@@ -278,7 +278,7 @@ class Play:
         self._board.tell(trained=weights_words(self.request.policy))
         controls = self._controls = isinstance(player, ControlPlayer)
         if controls:
-            # The same table, in the environment that this policy asks for.
+            # Set the same table in the environment that this policy needs.
             rollout = player.begin(rollout.instance, rollout.kind, rollout.control)
             self._watch(rollout)
         if isinstance(player.policy, Teleoperator):
@@ -297,7 +297,7 @@ class Play:
                 except InterruptedEpisodeError:
                     if not rollout.episode.is_over:
                         self._lead(rollout)
-                    # An episode that is over cannot be led: it is judged.
+                    # The episode is over, so it is judged.
                     rollout.episode.conclude()
             self._board.conclude(rollout, known=self._goal_is_known)
         finally:
@@ -305,7 +305,7 @@ class Play:
                 player.rig.close()
 
     def _lead(self, rollout: Rollout) -> None:
-        """Let a visitor lead until they hand back, or it is over."""
+        """Let a visitor lead until they hand back or the episode is over."""
         episode, teleoperator = rollout.episode, self.teleoperator
         assert teleoperator is not None
         now_s = episode.simulation.time_s
@@ -326,7 +326,7 @@ class Play:
         self.transport.mark(end_s)
 
     def _read(self, rollout: Rollout, player: Player) -> bool:
-        """Report the reading; return whether to act on it."""
+        """Report the reading of the sentence; return whether to act on it."""
         self._board.tell(Phase.READING)
         reading, knows = self.status.reading, self.request.policy in KNOWING
         if reading is None and knows:
@@ -350,7 +350,7 @@ class Play:
     def _decided(
         self, decision: Decision | Actions | None, insight: Insight | None
     ) -> None:
-        """Report a decision before it is carried out; None: the policy is asked."""
+        """Report a decision before its execution; None while the policy decides."""
         if decision is None:
             self._board.tell(Phase.DECIDING)
             return
@@ -371,9 +371,9 @@ class Play:
             self._board.begin(Phase.ACTING, words, now_s, decision.subtask)
 
     def reached(self) -> Mapping[str, Any]:
-        """Return how far it came, as in lines of results.
+        """Return the stages of the episode, as in lines of results.
 
-        Nothing before somebody acts, nor for a sentence that asks for another goal.
+        They are empty before the first action, and if the sentence has another goal.
         """
         rollout = self.rollout
         if rollout is None or not (self.acts and self._goal_is_known):
@@ -386,7 +386,7 @@ class Play:
         return ((why.robot, why.waypoints),) if why.waypoints else ()
 
     def explanation(self) -> Explanation:
-        """Return why and how the sub-task at the cursor is done."""
+        """Return reasons and path of the sub-task at the cursor."""
         now_s = self.transport.cursor_s + FRAME_S
         before = (each for each in reversed(self.explanations) if each.time_s <= now_s)
         return next(before, NOTHING)

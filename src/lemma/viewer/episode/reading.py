@@ -1,4 +1,4 @@
-"""A policy's own words: its reading of a sentence, and its reasons for a sub-task."""
+"""A policy's reading of a sentence, and its reasons for a sub-task."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -37,36 +37,36 @@ from lemma.viewer.episode.status import Reading, say_goal
 from lemma.viz.recording import trained_words
 
 Waypoints = tuple[tuple[float, float, float], ...]
-"""Points of the hand, oldest first [m]."""
+"""Positions of the hand (x, y, z) in the world's frame, oldest first [m]."""
 Paths = tuple[tuple[str, Waypoints], ...]
-"""Names of robots, and paths of their hands."""
+"""Names of robots and paths of their hands."""
 
 _DRAGS = (Primitive.HOOK, Primitive.POKE)
 _DENIES = re.compile(
     "\\b(?:not|never|cannot|dont|nor)\\b|n['\u2019]t\\b", re.IGNORECASE
 )
-"""Words of denials: readers that were never shown any take them for the contrary."""
-SILENT = Reading(None, "This policy does not say what it understood.")
-"""Of policies without a reader."""
+"""Negations; readers trained without them would ignore them."""
+SILENT = Reading(None, "This policy does not report its reading of the sentence.")
+"""The reading of policies without a reader."""
 LEAST_CERTAIN = 0.5
-"""Least certainty at which a reader has understood."""
+"""Least probability of a reading that counts as understood."""
 NEAR = 0.5
-"""Share of the certainty of a reading from which another one is near."""
+"""Least probability of a rival reading, as a share of that of the best one."""
 
 
 def parse_goal(text: str, instance: Instance) -> Reading:
-    """Return the goal of a sentence by the templates of the benchmark.
+    """Return the goal of a sentence from the templates of the benchmark.
 
     Args:
-        text: Anything.
-        instance: Of the table.
+        text: Any sentence.
+        instance: The instance with the table's robots and objects.
     """
     found = parse(text)
     if found is None:
         return Reading(
             None,
-            "The expert reads the sentences of the benchmark alone, and this is none "
-            "of them. Choose a policy that reads, such as reachnet.",
+            "The expert understands only sentences of the benchmark, and this is none "
+            "of them. Choose a policy that understands free text, such as reachnet.",
             acts=False,
         )
     return _possible(tuple(sorted(found)), instance)
@@ -80,7 +80,7 @@ def ask_reader(
     Args:
         policy: The policy.
         policy_input: Its input before the first decision.
-        instance: Of the table.
+        instance: The instance with the table's robots and objects.
     """
     reader: Reader | None = find_part(policy, Reader)
     if reader is None:
@@ -94,8 +94,8 @@ def ask_reader(
     if not found.refuses and _DENIES.search(policy_input.instruction):
         return Reading(
             None,
-            "The sentence says what shall not be, and that is not understood. Say what "
-            "shall be.",
+            "The sentence contains a negation, which is not understood. Say what shall "
+            "be done.",
             acts=False,
         )
     if found.other and found.other_certainty >= NEAR * certainty:
@@ -114,11 +114,11 @@ def ask_reader(
 
 
 def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
-    """Return a reading that says so if the expert knows no way to do it.
+    """Return a reading with a note if the expert finds no plan for it.
 
     Args:
-        reading: Of a sentence.
-        scene: The table as it is.
+        reading: The reading of a sentence.
+        scene: The scene in its present state.
         needed: Whether the policy cannot act without the expert's plan.
     """
     if not (reading.acts and reading.pairs):
@@ -126,7 +126,7 @@ def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
     now, goal = SymbolicState.observe(scene), Goal.from_pairs(reading.pairs)
     if find_plan(now, goal, GeometricGrounder(scene.spec)) is not None:
         return reading
-    notes = (reading.note, "the expert knows no way to do that on this table")
+    notes = (reading.note, "the expert finds no plan for that on this table")
     note = ", ".join(part for part in notes if part)
     return Reading(reading.pairs, note, acts=not needed)
 
@@ -134,16 +134,16 @@ def check_plan(reading: Reading, scene: Scene, *, needed: bool) -> Reading:
 def hear(
     text: str, instance: Instance, player: Player, *, knows: bool
 ) -> tuple[Instance, Reading]:
-    """Return the table of an instance with another sentence.
+    """Return an instance with another sentence.
 
     Args:
         text: The sentence.
-        instance: Of the table.
+        instance: The instance with the table's robots and objects.
         player: The policy.
-        knows: Whether it is the expert, which knows the goal.
+        knows: Whether the policy is the expert, which has the goal.
 
     Returns:
-        The instance, with the goal that was understood if it can be acted on, and the
+        The instance, with the goal of the reading if the policy can act on it, and the
         reading.
     """
     own = text in instance.instructions.values()
@@ -151,7 +151,7 @@ def hear(
     said = replace(instance, instructions=sentences)
     rollout = Rollout(said)
     if own and instance.goal.rule is not None:
-        # No template says a rule: the expert knows it, and readers do not read it.
+        # Templates have no rules: the expert has them, readers cannot read them.
         return said, Reading(instance.goal.pairs) if knows else SILENT
     if knows:
         reading = parse_goal(text, said)
@@ -164,10 +164,10 @@ def hear(
 
 
 def weights_words(policy: str) -> str:
-    """Return a sentence where a policy's weights are of another version; mostly none.
+    """Return a sentence if a policy's weights are of another version, else ``""``.
 
     Args:
-        policy: Its name. Servers and visitors' hands have no weights here.
+        policy: Its name. Servers and teleoperation have no weights here.
     """
     try:
         return trained_words(weights_of(PolicySpec(policy)))
@@ -176,7 +176,7 @@ def weights_words(policy: str) -> str:
 
 
 def find_part(policy: Any, kind: Any) -> Any:
-    """Return the part of a policy that is of a kind, if there is one."""
+    """Return the first part of a policy that is of a class; None without one."""
     if isinstance(policy, Composite):
         found = (find_part(part, kind) for part in policy.parts)
         return next((part for part in found if part is not None), None)
@@ -184,7 +184,7 @@ def find_part(policy: Any, kind: Any) -> Any:
 
 
 def _possible(pairs: GoalPairs, instance: Instance) -> Reading:
-    """Return a reading of a goal, if it can be one of this table."""
+    """Return a reading of a goal; it does not act if the table lacks an object."""
     names = instance.scene.object_names
     absent = [name for pair in pairs for name in pair if name not in names]
     if absent:
@@ -199,18 +199,18 @@ def _possible(pairs: GoalPairs, instance: Instance) -> Reading:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why a sub-task is done, and how."""
+    """Reasons and path of a sub-task."""
 
     time_s: float
     """Simulated time [s]."""
     insight: Insight | None = None
-    """The policy's perception and options; None where it gives none."""
+    """The policy's perception and options; None if it reports none."""
     robot: str = ""
     """Name of the robot that acts."""
     waypoints: Waypoints = ()
-    """Path of its hand [m]."""
+    """Path of its hand, in the world's frame [m]."""
     covers: tuple[tuple[str, str], ...] = ()
-    """Pairs (lower, upper) of things that lie on each other."""
+    """Pairs (lower, upper) of objects that lie on each other."""
 
 
 NOTHING = Explanation(0.0)
@@ -219,13 +219,13 @@ NOTHING = Explanation(0.0)
 def explain(
     simulation: Simulation, time_s: float, decision: Decision, insight: Insight | None
 ) -> Explanation:
-    """Return why and how a sub-task is about to be done.
+    """Return reasons and path of the next sub-task.
 
     Args:
-        simulation: As it is before the sub-task.
+        simulation: The simulation before the sub-task.
         time_s: Simulated time of the episode [s].
-        decision: Of the policy.
-        insight: The policy's reasons, if it gives any.
+        decision: The policy's decision.
+        insight: The policy's reasons; None if it reports none.
     """
     grounded = decision.grounded
     waypoints = () if grounded is None else planned_path(simulation, grounded)
@@ -236,13 +236,16 @@ def explain(
 
 
 def planned_path(simulation: Simulation, grounded: GroundedSubTask) -> Waypoints:
-    """Return the path of a hand from where it is now: over, down, and on.
+    """Return the straight path of a hand from its present pose to pick and place.
 
-    An arm keeps away from obstacles, so it goes beside these lines where it must.
+    The real path differs where the arm avoids obstacles.
 
     Args:
-        simulation: As it is before the sub-task.
-        grounded: The sub-task; the path of a robot that is not there is empty.
+        simulation: The simulation before the sub-task.
+        grounded: The sub-task.
+
+    Returns:
+        Positions in the world's frame [m]; empty if the scene lacks the robot.
     """
     arm = simulation.arms.get(grounded.robot)
     if arm is None:
@@ -259,27 +262,27 @@ def planned_path(simulation: Simulation, grounded: GroundedSubTask) -> Waypoints
 
 @dataclass(frozen=True)
 class ObservedPolicy(Composite):
-    """Asks a policy, and reports its answer before it is carried out."""
+    """Calls a policy, and reports its decision before the execution."""
 
     policy: Any
     tell: Callable[[Decision | Actions | None, Insight | None], None]
-    """Called with each decision and its reasons, where the policy gives any; with None
-    before the policy is asked."""
+    """Called with each decision and its reasons (None if the policy reports none), and
+    with (None, None) before the policy is called."""
 
     @property
     def parts(self) -> tuple[object, ...]:
-        """The policy."""
+        """The observed policy."""
         return (self.policy,)
 
     def act(self, inputs: Sequence[Any]) -> Any:
-        """Return the policy's answer, even if it makes no sense."""
-        # Motor commands are asked for twenty times a second: nobody could read that.
+        """Return the policy's answer, valid or not."""
+        # Motor commands come 20 times a second, too often for reports.
         if not isinstance(inputs[0], ControlInput):
             self.tell(None, None)
         answers = self.policy.act(inputs)
         if isinstance(answers, list | tuple) and answers:
             decision, insight = check(answers[0], inputs[0]), None
-            # The rollout turns nonsense into a fault.
+            # The rollout turns an invalid answer into a fault.
             if isinstance(decision, Decision | Actions):
                 explainer = find_part(self.policy, Explainer)
                 if explainer is not None:

@@ -1,4 +1,4 @@
-"""A page's episodes, one after the other, and the policies that are loaded."""
+"""A page's episodes, one after another, and its loaded policies."""
 
 import threading
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from lemma.viewer.episode.team_play import TeamPlay
 from lemma.viewer.episode.teleoperator import BY_HAND, Teleoperator
 
 _PATIENCE_S = 1.0
-"""Time that a policy gets to stop [s]."""
+"""Longest wait for a policy to stop [s]."""
 
 
 _PAIR = 2
@@ -46,9 +46,9 @@ class Session:
         """Set the first table.
 
         Args:
-            request: Of the first table.
-            policies: Names of those that may be chosen.
-            load: Loads one.
+            request: The first request.
+            policies: Names of the policies to choose from.
+            load: Function that loads a policy by its name.
             acts: Whether to act at once.
         """
         self.policies = policies
@@ -70,7 +70,7 @@ class Session:
         with self._loading:
             if name not in self._loaded:
                 self._loaded[name] = self._load(name)
-            # Renderers belong to one thread: each play has its own.
+            # A renderer belongs to one thread, so each play gets its own.
             player = self._loaded[name]
         if isinstance(player, ControlPlayer):
             return ControlPlayer(player.policy)
@@ -78,19 +78,19 @@ class Session:
         return replace(player, rig=rig)
 
     def offer(self, address: str) -> None:
-        """Offer a policy behind an address, which is not asked yet.
+        """Add the policy of a server to the choices, without connecting to it.
 
         Args:
-            address: Of ``lemma serve``, or of a model server of vla-eval. Visitors may
-                not name classes, which would be run.
+            address: Address of ``lemma serve``, or of a model server of vla-eval. Names
+                of classes are refused, since loading one would run its code.
 
         Raises:
-            InvalidConfigError: It is no address.
+            InvalidConfigError: It is not an address.
         """
         address = address.strip()
         if not (is_address(address) or is_model_server(address)):
             raise InvalidConfigError(
-                f"{shown(address)} is no address of a policy. Valid: "
+                f"{shown(address)} is not the address of a policy. Valid: "
                 "http://HOST:PORT of lemma serve, or vla-eval://HOST:PORT."
             )
         PolicySpec(address)
@@ -101,34 +101,34 @@ class Session:
         """Leave the present episode, and set another table.
 
         Args:
-            request: Of the next table.
-            acts: Whether to act; else the table is looked at.
+            request: The next request.
+            acts: Whether to act; otherwise only the table is set.
             steps: Whether to pause after the first sub-task.
 
         Raises:
-            UnknownNameError: The policy is none of those that may be chosen.
+            UnknownNameError: The policy is not among the choices.
         """
         self._check(request)
         with self._commands:
             before = self.play
             if not before.leave(_PATIENCE_S) and not self._loading.locked():
-                # A policy that hangs is not used again: the next play loads it anew.
+                # The policy hangs, so the next play loads it again.
                 self._loaded.pop(before.request.policy, None)
             self.play = self._begin(request, acts, steps)
 
     def move(self, name: str, pose: Pose2) -> None:
         """Put a robot or an object elsewhere.
 
-        Before and after an episode the table changes, and is set anew. A running
-        episode is paused, and the thing is moved in it, if it can be.
+        Before and after an episode, the table changes and is set again. A running
+        episode is paused, and the object is moved in it if possible.
 
         Args:
-            name: Of the robot or object.
-            pose: Where it shall be.
+            name: Name of the robot or object.
+            pose: New pose in the world's frame.
 
         Raises:
-            InvalidConfigError: It cannot be there, or not now.
-            UnknownNameError: There is no such thing.
+            InvalidConfigError: It cannot be there, or cannot be moved now.
+            UnknownNameError: There is no robot or object of this name.
         """
         play = self.play
         if not play.acts or play.rollout is None or play.transport.over:
@@ -136,16 +136,16 @@ class Session:
             self.ask(replace(play.request, own=own), acts=False)
         elif name in play.rollout.instance.scene.robot_names:
             raise InvalidConfigError(
-                "Robots are moved before an episode or after it, not while it goes on."
+                "Robots can be moved only before or after an episode."
             )
         else:
             play.nudge(name, pose)
 
     def take(self, instance: Instance) -> None:
-        """Set an own table.
+        """Set a user-defined table.
 
         Args:
-            instance: Any.
+            instance: Any instance.
         """
         request = replace(self.play.request, task=instance.task, own=instance)
         self.ask(request, acts=False)
@@ -159,11 +159,11 @@ class Session:
             raise UnknownNameError("policy", request.policy, self.policies)
 
     def restart(self) -> None:
-        """Set the same table again, and act again if it was acted on."""
+        """Set the same table again, and act again if the last play acted."""
         self.ask(self.play.request, acts=self.play.acts)
 
     def set_speed(self, speed: float) -> None:
-        """Set the speed, in times real time, from now on."""
+        """Set the speed, as a multiple of real time, for this and later episodes."""
         self._speed = speed
         self.play.transport.set_speed(speed)
 
@@ -179,13 +179,13 @@ class Session:
 
 
 def best_for(task: str, policies: tuple[str, ...]) -> str:
-    """Return the name of the policy to begin a task with.
+    """Return the name of the default policy of a task.
 
     Args:
         task: Name of the task.
-        policies: Those that can be loaded, the best one for two robots first.
+        policies: Names of loadable policies, the best one for two robots first.
     """
-    # Learned policies were trained with two robots, which take turns.
+    # Learned policies were trained with two robots that take turns.
     is_large = LAYOUTS[TASKS[task].layout].size > _PAIR
     return TOGETHER if is_large and TOGETHER in policies else policies[0]
 
@@ -193,15 +193,14 @@ def best_for(task: str, policies: tuple[str, ...]) -> str:
 def choices(wanted: str | None = None) -> tuple[str, ...]:
     """Return names of policies that can be loaded here, the best one first.
 
-    Learned ones are among them if their weights are on this machine.
+    Learned policies are included if their weights are on this machine.
 
     Args:
-        wanted: One that shall be among them. Its weights are looked for; servers and
-            classes are asked when it is loaded.
+        wanted: A policy to include. Its weights are checked now; servers and classes
+            are checked when it is loaded.
 
     Raises:
-        LemmaError: The name of that one means no policy, or its weights are missing or
-            damaged.
+        LemmaError: ``wanted`` is no policy, or its weights are missing or damaged.
     """
     learned = _LEARNED if find_spec("torch") else ()
     here = [name for name in learned if all(map(are_here, name.split("+")))]
@@ -216,13 +215,13 @@ def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
     """Return an instance in which a robot or an object begins elsewhere.
 
     Args:
-        instance: Any.
-        name: Of the robot or object.
-        pose: Where it shall stand or lie.
+        instance: Any instance.
+        name: Name of the robot or object.
+        pose: Its new pose in the world's frame.
 
     Raises:
         InvalidConfigError: The pose is outside of the room.
-        UnknownNameError: There is no such thing.
+        UnknownNameError: There is no robot or object of this name.
     """
     scene, pose = instance.scene, pose.rounded()
     if name in scene.robot_names:
@@ -238,7 +237,7 @@ def moved(instance: Instance, name: str, pose: Pose2) -> Instance:
 
 
 def _gap_for(before: SceneSpec, robots: tuple[RobotPlacement, ...]) -> Gap | None:
-    """Return the gap of a table, moved along with the robot that it keeps away."""
+    """Return the table's gap, moved together with the robot whose side it bounds."""
     gap = before.gap_m
     if gap is None or len(robots) != 2:
         return gap

@@ -1,4 +1,4 @@
-"""The request of an episode, from the page, and its status, from its thread."""
+"""The request of an episode by the page, and the status reported by its thread."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -15,14 +15,14 @@ from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 from lemma.viz.recording import Line
 
 TOGETHER = "oracle together"
-"""Name of the expert with all robots at work at the same time."""
+"""Name of the expert that acts with all robots at the same time."""
 KNOWING = ORACLE, TOGETHER
-"""Names of those that know the goal, and read the sentences of the benchmark alone."""
+"""Policies that have the goal and understand only sentences of the benchmark."""
 OWN_WORDS = "your own words"
 SAYINGS = (*KINDS, OWN_WORDS)
-"""Kinds of sentences: those of the instance, or any."""
+"""Kinds of sentences: those of the instance, or a visitor's own."""
 LONGEST = 300
-"""Characters of a sentence that are read."""
+"""Largest number of characters of a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,10 @@ class EpisodeRequest:
     saying: str = SAYINGS[0]
     """One of :data:`SAYINGS`."""
     text: str = ""
-    """A sentence in own words."""
+    """The visitor's own sentence, with ``saying = OWN_WORDS``."""
     policy: str = ORACLE
     own: Instance | None = None
-    """An own instance, instead of that of the task's list."""
+    """A user-defined instance; None for that of the task's list."""
 
     def __post_init__(self) -> None:
         """Check the split and the length of the sentence.
@@ -52,7 +52,7 @@ class EpisodeRequest:
             raise UnknownNameError("split", self.split, splits)
         if len(self.text) > LONGEST:
             raise InvalidConfigError(
-                f"The sentence has {len(self.text)} characters; say it in {LONGEST}."
+                f"The sentence has {len(self.text)} characters. Use at most {LONGEST}."
             )
 
     def instance(self) -> Instance:
@@ -69,13 +69,13 @@ class Reading:
     """The reading of a sentence."""
 
     pairs: GoalPairs | None
-    """(top, bottom) pairs that shall hold; None where the policy does not say."""
+    """The goal's pairs (top, bottom); None if the policy does not report them."""
     note: str = ""
-    """A remark, in a sentence."""
+    """A remark, as a sentence."""
     acts: bool = True
     """Whether the policy should act on it."""
     choices: tuple[GoalPairs, ...] = ()
-    """Readings that are near each other, about which the visitor is asked."""
+    """Readings of similar probability, from which the visitor chooses."""
 
 
 class Phase(StrEnum):
@@ -90,57 +90,57 @@ class Phase(StrEnum):
     LED = "You lead"
     SOLVED = "Done"
     FOLLOWED = "Done, as I understood it"
-    """The goal that was understood holds; whether it was meant is not known."""
+    """The goal of the policy's reading holds; the reading may be wrong."""
     FAILED = "Not done"
     ENDED = "Ended"
     BROKEN = "Stopped"
 
 
 ENDS = (Phase.SOLVED, Phase.FOLLOWED, Phase.FAILED, Phase.ENDED, Phase.BROKEN)
-"""Phases that do not end by themselves."""
+"""Final phases."""
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """Status of an episode, in words."""
+    """Status of an episode, as text."""
 
     phase: Phase = Phase.SETTING
     said: str = ""
-    """The sentence."""
+    """The visitor's sentence."""
     note: str = ""
-    """Reason or result."""
+    """Reason or result of the phase."""
     reading: Reading | None = None
     lines: tuple[Line, ...] = ()
     trained: str = ""
-    """A remark on the policy's weights, in a sentence."""
+    """A remark on the policy's weights, as a sentence."""
 
 
 def say_goal(pairs: GoalPairs) -> str:
-    """Return a goal in words: ``"the red cube on the white pad"``."""
+    """Return a goal as text: ``"the red cube on the white pad"``."""
     return " and ".join(say_pair(top, bottom) for top, bottom in pairs)
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """The result of a visitor's wish to lay an object elsewhere."""
+    """The result of a visitor's request to move an object."""
 
     problem: str = ""
-    """Why it could not be moved; empty if it was."""
+    """Why the object could not be moved; empty if it was moved."""
 
 
 class StatusBoard:
-    """Status of an episode; written by its thread, read by any."""
+    """Status of an episode; its thread writes it, any thread may read it."""
 
     def __init__(self) -> None:
-        """Begin with a table that is being set."""
+        """Begin in the phase ``SETTING``."""
         self.status = Status()
-        """A new object whenever something changes."""
+        """The status; every change creates a new object."""
 
     def tell(self, phase: Phase | None = None, **changes: Any) -> None:
-        """Change some of it.
+        """Change fields of the status.
 
         Args:
-            phase: The new phase; as before if None.
+            phase: The new phase; None to keep it.
             changes: Fields of :class:`Status`.
         """
         if phase is not None:
@@ -150,37 +150,37 @@ class StatusBoard:
     def begin(
         self, phase: Phase, words: str, start_s: float, subtask: SubTask | None = None
     ) -> None:
-        """Add a line that runs.
+        """Add a running line.
 
         Args:
             phase: The new phase.
-            words: The line.
+            words: Text of the line.
             start_s: Simulated time [s].
-            subtask: None where it is none.
+            subtask: The sub-task; None for another event.
         """
         line = Line(words, start_s, subtask=subtask)
         self.tell(phase, lines=(*self.status.lines, line))
 
     def end(self, end_s: float, outcome: str) -> None:
-        """End the line that runs, if one does.
+        """End the running line, if there is one.
 
         Args:
             end_s: Simulated time [s].
-            outcome: How it ended.
+            outcome: Its outcome, as text.
         """
         ended = (replace(line, end_s=end_s, outcome=outcome) for line in self._running)
         self.tell(lines=(*self._done, *ended))
 
     def insert(self, line: Line) -> None:
-        """Add a line that has ended, before the one that runs."""
+        """Insert a finished line before the running one."""
         self.tell(lines=(*self._done, line, *self._running))
 
     def replace_running(self, line: Line) -> None:
-        """Put a line that has ended in the place of the one that runs."""
+        """Replace the running line with a finished one."""
         self.tell(lines=(*self._done, line))
 
     def replace_robots(self, line: Line) -> None:
-        """Put a line that has ended in the place of the running one of its robot."""
+        """Replace the running line of a robot with a finished one."""
         robot = line.subtask.robot if line.subtask else ""
         self.tell(
             lines=tuple(
@@ -204,8 +204,8 @@ class StatusBoard:
 
         Args:
             rollout: The episode.
-            known: Whether the sentence asks for the goal of its instance; if not, only
-                the reading can be judged.
+            known: Whether the sentence has the goal of the instance. Otherwise only the
+                goal of the reading can be judged.
         """
         took = f"{rollout.episode.elapsed_s:.1f} s"
         understood = self.status.reading.pairs if self.status.reading else None
@@ -214,7 +214,7 @@ class StatusBoard:
             self.tell(Phase.BROKEN, note=note, lines=self._done)
             return
         if not known and understood is None:
-            self.tell(Phase.ENDED, note=f"after {took}: nobody can judge it")
+            self.tell(Phase.ENDED, note=f"after {took}; success is not judged")
             return
         asked = rollout.asked_holds
         verdict = rollout.verdict()
@@ -222,7 +222,7 @@ class StatusBoard:
         what = (verdict.failure or "goal_not_reached").replace("_", " ")
         note = f"after {took}" if holds else f"after {took}: {what}"
         if holds and rollout.protective_stop is not None:
-            note += ", though a robot was asked for what it cannot do"
+            note += ", although a robot got a sub-task that it cannot do"
         goal = rollout.instance.goal.pairs
         if known and understood is not None and set(understood) != set(goal):
             note += f". The sentence asks for {say_goal(goal)}"

@@ -1,8 +1,8 @@
 """One episode on the page in which all robots act at once.
 
-The expert leads them, and visitors may: an order of a visitor comes before what the
-expert has planned, which is planned anew around it. A robot that a visitor has taken
-does what visitors order, nothing else, while the others go on.
+The expert leads the robots, and visitors may give orders. An order comes before the
+expert's plan, which is computed again with it. A robot that a visitor has taken follows
+only visitors' orders, while the expert leads the others.
 """
 
 from collections.abc import Sequence
@@ -29,22 +29,22 @@ from lemma.viz.recording import FRAME_S, describe_subtask, line_of
 
 _MOST_PLANS = 4
 _NOT_ORDERED = Primitive.REACH, Primitive.LIFT
-"""They leave an arm over the table, in the way of others."""
+"""These primitives leave an arm over the table, where it blocks the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Orders that a robot could be given."""
+    """Possible orders of a robot."""
 
     robot: str
     subtasks: tuple[SubTask, ...]
 
 
 class TeamPlay(Play):
-    """An episode of the page with all robots at work; safe to use from any thread."""
+    """An episode in which all robots act at once; safe to use from any thread."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        """Begin as :class:`Play` does."""
+        """Start the thread, with the arguments of :class:`Play`."""
         self._visitor_led = frozenset[str]()
         self._ordered: tuple[SubTask, ...] = ()
         """Orders of visitors that have not begun."""
@@ -57,7 +57,7 @@ class TeamPlay(Play):
 
     @property
     def can_be_taken_over(self) -> bool:
-        """Whether a visitor may lead hands: here visitors give orders instead."""
+        """Whether a visitor may lead hands: never, visitors give orders instead."""
         return False
 
     @property
@@ -72,11 +72,11 @@ class TeamPlay(Play):
 
     @property
     def todo(self) -> tuple[SubTask, ...]:
-        """Sub-tasks that are planned but have not begun."""
+        """Planned sub-tasks that have not begun."""
         return self._todo
 
     def take(self, robot: str) -> None:
-        """Let a robot do what visitors order, nothing else; it finishes what it does.
+        """Let a robot follow only visitors' orders; it first finishes its sub-task.
 
         Args:
             robot: Its name.
@@ -93,7 +93,7 @@ class TeamPlay(Play):
         self._plans_anew = True
 
     def order(self, subtask: SubTask) -> None:
-        """Let a robot do something as soon as it is free and can.
+        """Order a sub-task; it begins once its robot is free and can do it.
 
         Args:
             subtask: One of its :attr:`options`.
@@ -106,17 +106,17 @@ class TeamPlay(Play):
         self.transport.ask(take_note)
 
     def nudge(self, name: str, pose: Pose2) -> None:
-        """Move an object while the episode goes on, and plan anew.
+        """Move an object while the episode runs, and plan again.
 
         Args:
-            name: Of the object.
-            pose: Where it shall lie.
+            name: Name of the object.
+            pose: New pose of the object in the world's frame.
         """
         super().nudge(name, pose)
         self._plans_anew = True
 
     def look_for_options(self, robot: str) -> None:
-        """Find out what a robot could be ordered; the answer is in :attr:`options`.
+        """Compute the possible orders of a robot; the answer is in :attr:`options`.
 
         Args:
             robot: Its name.
@@ -133,7 +133,7 @@ class TeamPlay(Play):
                 for option in valid_options(robot, state, team.grounder)
                 if option.subtask.primitive not in _NOT_ORDERED
             )
-            # The expert's own next order comes first, then places, then cubes.
+            # Sort: the expert's next order first, then places, then cubes.
             places = {*ends} - {*team.episode.simulation.scene.movable_names}
             first = self._todo
             order = sorted(found, key=lambda s: (s not in first, s.place not in places))
@@ -142,7 +142,7 @@ class TeamPlay(Play):
         self.transport.ask(find)
 
     def explanation(self) -> Explanation:
-        """Return nothing: the expert gives no reasons."""
+        """Return an empty explanation: the expert reports no reasons."""
         return Explanation(0.0)
 
     def paths(self) -> Paths:
@@ -172,7 +172,7 @@ class TeamPlay(Play):
         self._board.conclude(rollout, known=self._goal_is_known)
 
     def _lead_team(self, episode: Episode, team: Team) -> None:
-        """Let the robots work until the goal holds or nobody knows what to do."""
+        """Let the robots work until the goal holds or no plan and order is left."""
         simulation, work, plans = episode.simulation, self._plan(team), 1
         while not episode.is_over:
             if self._plans_anew:
@@ -188,7 +188,7 @@ class TeamPlay(Play):
             elif episode.instance.goal.progress(simulation.scene) == 1.0:
                 break
             elif self._visitor_led:
-                # Visitors may still do something.
+                # Visitors may still act.
                 work = self._plan(team) if work.failed else work
                 episode.rest_until(now_s + LOOK_S)
             elif plans < _MOST_PLANS:
@@ -204,7 +204,7 @@ class TeamPlay(Play):
         return subtask.robot not in self._visitor_led or subtask in self._ordered
 
     def _foresee(self, team: Team) -> tuple[SymbolicState, tuple[SubTask, ...]]:
-        """Return the state after all that is under way and ordered, and the orders."""
+        """Return the state after all running and ordered sub-tasks, and the orders."""
         now = team.observe()
         state, kept = team.expected(now, team.settled(now)), []
         for subtask in self._ordered:
@@ -215,7 +215,7 @@ class TeamPlay(Play):
         return state, tuple(kept)
 
     def _plan(self, team: Team) -> TeamWork:
-        """Return what is to do: first what visitors ordered, then the expert's plan."""
+        """Return the work to do: first visitors' orders, then the expert's plan."""
         self._plans_anew = False
         state, kept = self._foresee(team)
         instance, now_s = team.episode.instance, team.episode.simulation.time_s
@@ -233,7 +233,7 @@ class TeamPlay(Play):
     def _tell_begun(
         self, episode: Episode, orders: dict[str, Order], before: dict[str, Order]
     ) -> None:
-        """Report what has just begun."""
+        """Report sub-tasks that have just begun."""
         for robot, order in orders.items():
             if order is before.get(robot) or order.subtask is None:
                 continue
@@ -246,7 +246,7 @@ class TeamPlay(Play):
             self._board.begin(Phase.ACTING, words, now_s, subtask)
 
     def _tell_ended(self, episode: Episode, done: Done) -> None:
-        """Report what has just ended."""
+        """Report a sub-task that has just ended."""
         assert done.subtask is not None
         assert self.watch is not None
         words = describe_subtask(done.subtask, episode.instance)

@@ -1,4 +1,4 @@
-"""Robots that a visitor leads, and the log of an episode as it is kept in a file."""
+"""Teleoperation by a visitor, and the log of an episode for a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +28,9 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.suite import FREE_SPLIT
 
 BY_HAND = "by hand"
-"""Its name among the policies of a page."""
+"""Name of teleoperation among the policies of a page."""
 CONTROL, CONTROL_HZ = "ee_pose", 20.0
-"""Control mode, and commands per second."""
+"""Control mode and commands per second."""
 
 
 class Teleoperator:
@@ -46,7 +46,7 @@ class Teleoperator:
     }
 
     def __init__(self) -> None:
-        """Begin without targets: the first observation tells the poses of the hands."""
+        """Begin without targets; the first observation sets them."""
         self._lock = Lock()
         self._targets: FloatArray | None = None
         self.rows: list[FloatArray] = []
@@ -55,7 +55,15 @@ class Teleoperator:
         """Whether the visitor has handed back."""
 
     def target(self, robot: int) -> FloatArray | None:
-        """Return the target of a hand: position [m], quaternion wxyz, opening [m]."""
+        """Return the target of a hand in the world's frame.
+
+        Args:
+            robot: Index of the robot.
+
+        Returns:
+            Position [m], quaternion wxyz and opening [m], (8,); None before the first
+            observation.
+        """
         with self._lock:
             return None if self._targets is None else self._targets[robot].copy()
 
@@ -63,9 +71,9 @@ class Teleoperator:
         """Set the target of a hand, within the range of commands.
 
         Args:
-            robot: Its number.
-            position: Of the tool centre point [m].
-            wxyz: Its quaternion.
+            robot: Index of the robot.
+            position: Tool centre point in the world's frame, (3,) [m].
+            wxyz: Its quaternion, (4,).
         """
         with self._lock:
             if self._targets is not None:
@@ -77,7 +85,7 @@ class Teleoperator:
         """Open or close a gripper.
 
         Args:
-            robot: Its number.
+            robot: Index of the robot.
             opened: Whether to open it.
         """
         with self._lock:
@@ -85,11 +93,11 @@ class Teleoperator:
                 self._targets[robot, 7] = FINGER_OPENING_M if opened else 0.0
 
     def _begin(self, poses: FloatArray, openings: FloatArray) -> None:
-        """Hold the hands where they are.
+        """Set the targets to the present poses of the hands.
 
         Args:
-            poses: Of the tool centre points, (robots, 7) [m, wxyz].
-            openings: Of the grippers, (robots,) [m].
+            poses: Poses of the tool centre points, (robots, 7) [m, wxyz].
+            openings: Openings of the grippers, (robots,) [m].
         """
         with self._lock:
             self._targets = np.hstack([poses, openings[:, None]])
@@ -97,7 +105,7 @@ class Teleoperator:
             self._targets[:, 3:7] = np.clip(poses[:, 3:], -1.0, 1.0)
 
     def _row(self) -> FloatArray:
-        """Return the targets as a command, and keep it."""
+        """Return the targets as a command, (robots, 8), and record it."""
         with self._lock:
             assert self._targets is not None
             row = self._targets.copy()
@@ -105,7 +113,7 @@ class Teleoperator:
         return row
 
     def act(self, inputs: Sequence[ControlInput]) -> list[Any]:
-        """Return the targets as commands."""
+        """Return the targets as commands, one per input."""
         (control_input,) = inputs
         if self._targets is None:
             seen = control_input.observation
@@ -115,10 +123,10 @@ class Teleoperator:
         return [Actions(self._row())]
 
     def take_over(self, episode: Episode) -> None:
-        """Lead an episode until it is over, or the visitor hands back.
+        """Control an episode until it is over or the visitor hands back.
 
         Args:
-            episode: At any moment; the running sub-task is broken off.
+            episode: The episode, in any state; its running sub-task is interrupted.
         """
         options: dict[str, Any] = dict(self.control_options)
         env = ControlEnv(
@@ -129,7 +137,7 @@ class Teleoperator:
         poses = [arm.tcp_pose() for arm in arms]
         self._begin(
             np.array([[*p[:3, 3], *quaternion_from_matrix(p[:3, :3])] for p in poses]),
-            # Commanded openings, not measured ones: grippers go on holding.
+            # Commanded instead of measured openings, so that grippers keep holding.
             np.array([arm.opening_m for arm in arms]),
         )
         while not (self.is_done or episode.is_over):
@@ -137,7 +145,7 @@ class Teleoperator:
 
 
 class EpisodeLog:
-    """Sub-tasks and commands; written by the thread that simulates."""
+    """Log of sub-tasks and commands; only the simulating thread writes it."""
 
     def __init__(self) -> None:
         """Begin an empty log."""
@@ -152,10 +160,10 @@ class EpisodeLog:
         return led or bool(self._nudged)
 
     def begin(self, decision: Decision, start_s: float) -> None:
-        """Note a decision of the policy; without poses nothing is executed.
+        """Log a decision of the policy; one without poses is not executed.
 
         Args:
-            decision: Of the policy.
+            decision: The policy's decision.
             start_s: Simulated time [s].
         """
         subtask, grounded = decision.subtask, decision.grounded
@@ -164,31 +172,31 @@ class EpisodeLog:
             self._begun = Executed.begin(start_s, subtask, grounded)
 
     def end(self, until_s: float | None = None) -> None:
-        """Note the end of the running sub-task.
+        """Log the end of the running sub-task.
 
         Args:
-            until_s: Simulated time at which it was broken off [s]; None if it was not.
+            until_s: Simulated time of its interruption [s]; None if it was finished.
         """
         if self._begun is not None:
             self._parts = (*self._parts, replace(self._begun, until_s=until_s))
             self._begun = None
 
     def lead(self, teleoperator: Teleoperator, start_s: float) -> None:
-        """Note that a visitor leads from now on.
+        """Log that a visitor leads from now on.
 
         Args:
-            teleoperator: Keeps the commands.
+            teleoperator: The teleoperator, which records the commands.
             start_s: Simulated time [s].
         """
         led = Commanded(CONTROL, CONTROL_HZ, teleoperator.rows, start_s)
         self._parts = (*self._parts, led)
 
     def move(self, name: str, pose: Pose2, time_s: float) -> None:
-        """Note that a visitor moved a thing.
+        """Log that a visitor moved an object.
 
         Args:
-            name: Of the thing.
-            pose: Where to.
+            name: Name of the object.
+            pose: Its new pose in the world's frame.
             time_s: Simulated time [s].
         """
         self._nudged = (*self._nudged, Nudged(time_s, name, pose_row(pose)))
@@ -199,9 +207,9 @@ class EpisodeLog:
         """Return the whole log.
 
         Args:
-            instance: Of the table.
+            instance: The instance.
             said: The sentence.
-            latest: Time [s] and positions of the joints of the newest state.
+            latest: Simulated time [s] and joint positions, (nq,), of the last state.
         """
         parts = self._parts if self._begun is None else (*self._parts, self._begun)
         end_s, qpos = latest

@@ -1,9 +1,9 @@
-"""Play, pause and seek: the cursor of the viewer, and the lead of the simulation.
+"""Play, pause and seek: the cursor of the viewer and the lead of the simulation.
 
-The simulation runs in a thread of its own and leaves a state every ``FRAME_S``. A
-cursor moves over these states at real time times the speed; the simulation waits where
-it is :attr:`Transport.lead_s` ahead of it. A pause stops both. Seeking back shows
-former states, and changes nothing that follows.
+The simulation runs in its own thread and records a state every ``FRAME_S``. A cursor
+moves over these states at a multiple of real time, the speed. The simulation waits
+while it is :attr:`Transport.lead_s` ahead of the cursor. A pause stops both. Seeking
+back shows earlier states and does not change later ones.
 """
 
 import threading
@@ -15,7 +15,7 @@ from lemma.core.poses import FloatArray
 from lemma.viz.recording import FRAME_S
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Speeds of playing, in times real time."""
+"""Speeds of playback, as multiples of real time."""
 _LEAD_S = 0.1
 
 
@@ -24,27 +24,27 @@ class AbandonedError(Exception):
 
 
 class InterruptedEpisodeError(Exception):
-    """A visitor takes over from here."""
+    """A visitor takes over, which interrupts the sub-task."""
 
 
 class Transport:
     """A cursor over the states of an episode; safe to use from any thread.
 
-    Its attributes are for reading.
+    Other threads may only read its attributes.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
         """Begin paused, without any state."""
         self.speed = speed
-        """In times real time."""
+        """Speed of playback, as a multiple of real time."""
         self.cursor_s = 0.0
         """Simulated time of the cursor [s]."""
         self.playing = False
-        """Whether the cursor moves, or would if the simulation were further."""
+        """Whether the cursor moves or waits for the simulation."""
         self.over = False
-        """Whether nothing follows the last state."""
+        """Whether the last state is final."""
         self.latest: tuple[float, FloatArray] | None = None
-        """The newest state: its time [s] and the joints' positions, (nq,)."""
+        """The newest state: simulated time [s] and joint positions, (nq,)."""
         self.changing = threading.Lock()
         """Held while a state is changed by hand."""
         self._changed = threading.Condition()
@@ -62,28 +62,28 @@ class Transport:
 
     @property
     def at_end(self) -> bool:
-        """Whether the episode is over and the cursor stands at its end."""
+        """Whether the episode is over and the cursor is at its end."""
         return self.over and self.cursor_s >= self.end_s
 
     @property
     def lead_s(self) -> float:
-        """Lead that the simulation may have over the cursor [s].
+        """Largest lead of the simulation over the cursor, in simulated time [s].
 
-        Two moves of the cursor, so that it never waits for a simulation that is fast.
+        It is two moves of the cursor, so that a fast simulation is always ahead.
         """
         return _LEAD_S * (1.0 + self.speed)
 
     def qpos(self) -> FloatArray | None:
-        """Return the joints' positions at the cursor, (nq,); None before the first."""
+        """Return the joint positions at the cursor, (nq,); None without a state."""
         with self._changed:
             if not self._frames:
                 return None
-            # Times are written with two digits, and may be a little too small.
+            # Times are rounded to two digits and may be slightly too small.
             number = int(self.cursor_s / FRAME_S + 1e-6)
             return self._frames[min(number, len(self._frames) - 1)]
 
     def play(self) -> None:
-        """Let the cursor move; from the beginning if it stands at the end."""
+        """Let the cursor move; from the beginning if it is at the end."""
         with self._changed:
             if self.at_end:
                 self.cursor_s = 0.0
@@ -103,13 +103,13 @@ class Transport:
                 self._changed.notify_all()
 
     def seek(self, time_s: float) -> None:
-        """Move the cursor to another moment, and stay there."""
+        """Pause with the cursor at a simulated time [s]."""
         with self._changed:
             self.cursor_s = float(np.clip(time_s, 0.0, self.end_s))
             self._until, self.playing = None, False
 
     def set_speed(self, speed: float) -> None:
-        """Set the speed, in times real time."""
+        """Set the speed, as a multiple of real time."""
         with self._changed:
             self.speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
             self._changed.notify_all()
@@ -129,17 +129,17 @@ class Transport:
             self._changed.notify_all()
 
     def _mark(self) -> float | None:
-        """Return the end of the sub-task at which to stop, if it is known."""
+        """Return the simulated time at which to stop [s]; None if it is unknown."""
         if self._until is None:
             return None
         later = (mark for mark in self._marks if mark > self._until + 1e-6)
         return next(later, None)
 
     def record(self, qpos: FloatArray, time_s: float) -> None:
-        """Keep a state if its time has come, and wait while it is too far ahead.
+        """Record a state every ``FRAME_S``, and wait while it is too far ahead.
 
         Args:
-            qpos: The joints' positions, (nq,).
+            qpos: MuJoCo's joint positions, (nq,).
             time_s: Simulated time [s].
 
         Raises:
@@ -160,7 +160,7 @@ class Transport:
                 for change in changes:
                     change()
                 with self._changed:
-                    # The cursor goes to the change.
+                    # Show the changed state.
                     self._frames[-1] = qpos.copy()
                     self.latest = time_s, qpos.copy()
                     self.cursor_s = self.end_s
@@ -169,7 +169,7 @@ class Transport:
             raise InterruptedEpisodeError
 
     def _wait(self, time_s: float) -> tuple[list[Callable[[], None]], ...]:
-        """Wait until the simulation may go on; or return questions and changes."""
+        """Wait until the simulation may continue; return any queries and changes."""
         with self._changed:
             self._changed.wait_for(
                 lambda: (
@@ -187,10 +187,10 @@ class Transport:
             return (questions, changes) if questions or changes else ()
 
     def change(self, make: Callable[[], None]) -> None:
-        """Change the state by hand, in the simulation's thread, at its next record.
+        """Change the state in the simulation's thread, at its next record.
 
         Args:
-            make: Makes the change; called between two steps of physics.
+            make: Function that changes the state; called between two steps of physics.
         """
         with self._changed:
             self._until, self.playing = None, False
@@ -198,30 +198,29 @@ class Transport:
             self._changed.notify_all()
 
     def ask(self, answer: Callable[[], None]) -> None:
-        """Ask for something in the simulation's thread, at its next record.
-
-        It also answers in a pause, and goes on as it was.
+        """Run a query in the simulation's thread, at its next record or in a pause.
 
         Args:
-            answer: Called between two steps of physics, whose state it must not change.
+            answer: Function that reads the state; called between two steps of physics.
+                It must not change the state.
         """
         with self._changed:
             self._questions.append(answer)
             self._changed.notify_all()
 
     def interrupt(self) -> None:
-        """Break off the sub-task at the next record, also in a pause."""
+        """Interrupt the sub-task at the next record or in a pause."""
         with self._changed:
             self._interrupted = True
             self._changed.notify_all()
 
     def mark(self, time_s: float) -> None:
-        """Say that a sub-task has ended, at a simulated time [s]."""
+        """Report the end of a sub-task at a simulated time [s]."""
         with self._changed:
             self._marks.append(min(time_s, self.end_s))
 
     def finish(self) -> None:
-        """Say that nothing follows."""
+        """Report that the last state is final."""
         with self._changed:
             self.over = True
 

@@ -1,4 +1,4 @@
-"""Nodes that look like the bodies of a scene: one mesh per body and color."""
+"""Meshes for the bodies of a scene: one per body and color."""
 
 import math
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ from lemma.tasks.instance import Instance
 from lemma.viz.recording import robot_titles
 
 WORLD = "/world"
-"""Name above those of the bodies, where there is one table."""
+"""Parent node of the bodies' nodes, if there is one table."""
 _MOVED_M = 1e-5
 _VISIBLE_GROUPS = 3
 """Geoms of this group and above are for collisions."""
 _PLANE_M = 15.0
-"""Half the side of the square that stands for an endless plane [m]."""
+"""Half the side of the square that represents an infinite plane [m]."""
 _SMOOTH_RAD = 0.7
-"""Faces that meet at a smaller angle are shaded as one [rad]."""
+"""Faces that meet at a smaller angle are shaded smoothly [rad]."""
 _SECTIONS = 48
 
 
@@ -42,7 +42,7 @@ def light_room(server: viser.ViserServer) -> None:
         ground_color=(170, 175, 185),
         intensity=0.8,
     )
-    # Looks along its negative z axis from where it is to the origin.
+    # The light shines from its position towards the origin.
     scene.add_light_directional(
         "/light/sun", intensity=1.25, cast_shadow=True, position=(-1.2, -1.6, 3.2)
     )
@@ -52,12 +52,15 @@ def light_room(server: viser.ViserServer) -> None:
 def name_bodies(
     server: viser.ViserServer, instance: Instance, root: str = WORLD
 ) -> list[Any]:
-    """Write names beside robots and objects, as sentences call them.
+    """Label robots and objects with their names in sentences.
 
     Args:
-        server: The page.
-        instance: Of the scene whose bodies are there.
-        root: Name above those of the bodies.
+        server: The page's server.
+        instance: The instance of the scene.
+        root: Parent node of the bodies' nodes.
+
+    Returns:
+        The labels' nodes.
     """
     titles = robot_titles(instance).items()
     labels = [(f"{name}/base", title, -0.12) for name, title in titles]
@@ -76,7 +79,7 @@ def name_bodies(
 
 
 class Bodies:
-    """Bodies of one scene; those that move are sent again when they have moved."""
+    """Nodes of the bodies of one scene; only poses that change are sent."""
 
     def __init__(
         self,
@@ -86,24 +89,24 @@ class Bodies:
         at_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         bounded: bool = False,
     ) -> None:
-        """Draw them.
+        """Draw the bodies.
 
         Args:
-            server: The page.
-            scene: Its model is drawn, its data are left alone.
-            root: Name above those of the bodies.
-            at_m: Where the scene's origin is in the page, (3,) [m].
-            bounded: Leave out endless planes, which another table has drawn.
+            server: The page's server.
+            scene: The scene; its model is drawn, its data are neither read nor changed.
+            root: Parent node of the bodies' nodes.
+            at_m: The scene's origin in the page's frame, (3,) [m].
+            bounded: Whether to leave out infinite planes, if another table has them.
         """
         self._server, self._model = server, scene.model
         self.data = mujoco.MjData(scene.model)
-        """The shown state; poses of bodies are up to date after :meth:`show`."""
+        """The shown state; the bodies' poses are valid after :meth:`show`."""
         self.nodes: dict[int, Any] = {}
-        """Nodes by number of the body."""
+        """Nodes by MuJoCo's index of the body."""
         self.parts: dict[str, list[Any]] = {}
-        """Meshes by name of their robot or object."""
+        """Meshes by name of the robot or object."""
         self.elsewhere: dict[str, Pose2] = {}
-        """Offsets of robots and objects that are shown beside their poses."""
+        """Offsets of robots and objects that are shown away from their poses."""
         self._spec = scene.spec
         self._shown: dict[int, FloatArray] = {}
         server.scene.add_frame(root, show_axes=False, position=at_m)
@@ -128,20 +131,20 @@ class Bodies:
         return name.partition("/")[0]
 
     def pose(self, name: str) -> Pose2:
-        """Return where an object is on the table, as its x axis points."""
+        """Return the pose of an object on the table; the yaw is that of its x axis."""
         body = self._model.body(name).id
         (x, y, _), (w, i, j, k) = self.data.xpos[body], self.data.xquat[body]
         yaw = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
         return Pose2(float(x), float(y), yaw)
 
     def take(self, scene: Scene) -> bool:
-        """Show another scene from now on, if it looks the same.
+        """Show another scene from now on, if its meshes are the same.
 
         Args:
-            scene: Its model is read, its data are left alone.
+            scene: The scene; its model is read, its data are neither read nor changed.
 
         Returns:
-            Whether it does: nothing has another kind or color.
+            Whether all robots and objects have the same kinds and colors.
         """
         if _look(scene.spec) != _look(self._spec):
             return False
@@ -151,10 +154,10 @@ class Bodies:
         return True
 
     def show(self, qpos: FloatArray) -> None:
-        """Put all bodies where they are, and send those that moved.
+        """Show a state; only changed poses are sent.
 
         Args:
-            qpos: Positions of all joints, (nq,).
+            qpos: MuJoCo's joint positions, (nq,).
         """
         data = self.data
         data.qpos[:] = qpos
@@ -171,13 +174,22 @@ class Bodies:
 
 
 def _look(spec: SceneSpec) -> tuple[object, ...]:
-    """Return what meshes depend on."""
-    robots = tuple((robot.arm, robot.color) for robot in spec.robots)
-    return robots, tuple((o.kind, o.color) for o in spec.objects), spec.gap_m
+    """Return the properties of a scene that determine its meshes."""
+    robots = tuple((robot.arm, robot.color, robot.hand) for robot in spec.robots)
+    objects = tuple((o.kind, o.color, o.mass_kg is None) for o in spec.objects)
+    return robots, objects, spec.gap_m
 
 
 def _put(by: Pose2, pose: FloatArray) -> FloatArray:
-    """Return a pose moved over the table, position and quaternion wxyz, (7,)."""
+    """Return a pose moved over the table.
+
+    Args:
+        by: The motion in the plane.
+        pose: Position [m] and quaternion wxyz, (7,).
+
+    Returns:
+        Position [m] and quaternion wxyz, (7,).
+    """
     found = np.empty(7)
     at = by @ Pose2(float(pose[0]), float(pose[1]))
     found[:3] = at.x, at.y, pose[2]
@@ -194,11 +206,11 @@ class Shape:
     body: int
     rgb: tuple[int, int, int]
     vertices: FloatArray
-    """(V, 3) [m]."""
+    """Positions in the body's frame, (V, 3) [m]."""
     faces: NDArray[np.int64]
-    """(F, 3), vertices of each counterclockwise from outside."""
+    """Indices of vertices, (F, 3), counterclockwise seen from outside."""
     endless: bool
-    """Whether it stands for an endless plane: too wide to cast a shadow."""
+    """Whether it represents an infinite plane, which casts no shadow."""
 
 
 def shapes_of(model: mujoco.MjModel) -> Iterator[Shape]:
@@ -255,9 +267,9 @@ def _own_mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
 
 
 def _smooth(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Part a mesh along its edges, so that they are not shaded as if they were round.
+    """Split the vertices of a mesh at its edges, so that edges look sharp.
 
-    Normals are of vertices, so faces on both sides of an edge must not share them.
+    Normals belong to vertices, so faces on both sides of an edge must not share them.
     """
     if not len(mesh.face_adjacency):
         return mesh

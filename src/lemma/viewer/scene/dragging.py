@@ -1,4 +1,4 @@
-"""Dragging: visitors carry things over the table with the mouse, and turn them."""
+"""Dragging and turning of robots and objects with the mouse."""
 
 import asyncio
 import math
@@ -20,16 +20,16 @@ _LEAST_SLOPE = 0.05
 
 
 class Dragging:
-    """Things that may be dragged, and their poses meanwhile."""
+    """Robots and objects that may be dragged, and their shown poses."""
 
     def __init__(
         self, server: viser.ViserServer, drop: Callable[[str, Pose2], None]
     ) -> None:
-        """Begin with nothing.
+        """Begin without a scene.
 
         Args:
-            server: The page.
-            drop: Called with a name and a pose, in a thread of its own.
+            server: The page's server.
+            drop: Called in its own thread with the name and new pose of an object.
         """
         self._server, self._drop = server, drop
         self._bodies: Bodies | None = None
@@ -40,11 +40,11 @@ class Dragging:
         self._offset, self._height_m = np.zeros(2), 0.0
 
     def watch(self, bodies: Bodies, scene: Scene) -> None:
-        """Take what is there from now on.
+        """Set the scene.
 
         Args:
-            bodies: The nodes; new ones, or those of before.
-            scene: Of the bodies.
+            bodies: The bodies' nodes, new ones or those of the previous scene.
+            scene: The scene of the bodies.
         """
         spec = scene.spec
         if bodies is not self._bodies:
@@ -55,7 +55,7 @@ class Dragging:
         self._place_handles()
 
     def allow(self, names: set[str]) -> None:
-        """Set which things may be dragged, by name."""
+        """Set the names of the robots and objects that may be dragged."""
         if self._bodies is None:
             return
         for name in self._bound - names:
@@ -71,13 +71,13 @@ class Dragging:
             self._select("")
 
     def let_go(self) -> None:
-        """Show everything where it is."""
+        """Show all robots and objects at their real poses."""
         if self._bodies is not None:
             self._bodies.elsewhere.clear()
             self._place_handles()
 
     def _home(self, name: str) -> Pose2:
-        """Return the pose of a thing, not where it is shown."""
+        """Return the real pose of a robot or object, without its shown offset."""
         assert self._bodies is not None
         return self._bases.get(name) or self._bodies.pose(name)
 
@@ -97,7 +97,7 @@ class Dragging:
         return clicked
 
     def _dragging(self, name: str) -> Callable[[Any], Any]:
-        # The library awaits coroutines in order, and runs functions in threads.
+        # viser awaits coroutines in order, but runs functions in threads.
         async def dragged(event: Any) -> None:
             now, eye = self._now(name), np.asarray(event.client.camera.position, float)
             if event.phase == "start":
@@ -120,13 +120,13 @@ class Dragging:
         self._place_handles()
 
     def _place_handles(self) -> None:
-        """Put the handles around the selected thing, if any."""
+        """Put the handles around the selected robot or object, if any."""
         if not self._selected or self._bodies is None:
             if self._handles is not None:
                 self._handles.visible = False
             return
         if self._handles is None:
-            # Axes x and y are active, and so is turning about z.
+            # Active axes x and y include rotation about z.
             self._handles = self._server.scene.add_transform_controls(
                 HANDLES, active_axes=(True, True, False), depth_test=False, opacity=0.7
             )
@@ -149,18 +149,21 @@ class Dragging:
                 self._put_down(self._selected)
 
     def _put_down(self, name: str) -> None:
-        # It may wait for a policy: the loop of the server must not.
+        # It may wait for a policy, so run it outside of the server's event loop.
         pose, loop = self._now(name), asyncio.get_running_loop()
         loop.run_in_executor(None, self._drop, name, pose)
 
 
 def _on_plane(eye: FloatArray, point: FloatArray, height_m: float) -> FloatArray | None:
-    """Return where a line of sight meets a height, (2,) [m]; None if nearly parallel.
+    """Return the intersection of a line of sight with a horizontal plane.
 
     Args:
-        eye: From where, (3,) [m].
-        point: On the line of sight, (3,) [m].
-        height_m: Of the horizontal plane [m].
+        eye: Position of the camera, (3,) [m].
+        point: Another point on the line of sight, (3,) [m].
+        height_m: Height of the plane [m].
+
+    Returns:
+        Position (x, y), (2,) [m]; None if line and plane are nearly parallel.
     """
     along = point - eye
     along = along / (np.linalg.norm(along) + 1e-12)

@@ -1,4 +1,4 @@
-"""Pictures of cameras at the moment of the cursor, drawn in a thread of its own."""
+"""Camera pictures of the state at the cursor, rendered in their own thread."""
 
 import threading
 from collections.abc import Callable
@@ -24,13 +24,14 @@ RgbImage = NDArray[np.uint8]
 
 
 class Pictures:
-    """Draws at most a few pictures a second; it reads states and changes none."""
+    """Renders at most a few pictures a second from joint positions."""
 
     def __init__(self, show: Callable[[RgbImage | None], None]) -> None:
         """Start the thread.
 
         Args:
-            show: Called there with every new picture, and with None for none.
+            show: Called in that thread with every new picture, (H, W, 3) uint8; with
+                None for no picture.
         """
         self._show = show
         self._changed = threading.Condition()
@@ -40,12 +41,12 @@ class Pictures:
         self._thread.start()
 
     def want(self, name: str, instance: Instance, qpos: FloatArray) -> None:
-        """Ask for a picture of a state.
+        """Request a picture of a state.
 
         Args:
-            name: Of a camera, :data:`MAP` or :data:`NO_PICTURE`.
-            instance: Of the scene.
-            qpos: Positions of all joints, (nq,).
+            name: Name of a camera, :data:`MAP` or :data:`NO_PICTURE`.
+            instance: The instance of the scene.
+            qpos: MuJoCo's joint positions, (nq,).
         """
         with self._changed:
             before = self._wanted

@@ -1,4 +1,4 @@
-"""The scene on the page: bodies, light, names, and overlays over the table."""
+"""The scene on the page: bodies, light, names and overlays."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -24,17 +24,17 @@ Point = tuple[float, float, float]
 Paths = Sequence[tuple[str, Sequence[Point]]]
 
 OVERLAYS = {
-    "names": "Robots and objects, as sentences call them.",
-    "reach": "Where a robot surely works (solid), and could touch at most (dashed).",
-    "contacts": "Where things touch.",
-    "perceived": "Things as the policy saw them, their part in the goal, and reach.",
+    "names": "Names of robots and objects in sentences.",
+    "reach": "A robot's certain workspace (solid), and its largest reach (dashed).",
+    "contacts": "Points of contact.",
+    "perceived": "The policy's perception: objects, their roles in the goal, reach.",
     "path": "The path of each hand in its sub-task.",
 }
 """Overlays and their hints."""
 _BESIDE_M = 0.6
-"""Width in view beside each robot, at least [m]."""
+"""Least visible width beside each robot [m]."""
 _NEARER = 0.25
-"""Share of the distance to a visitor that is a meter towards them."""
+"""Relative decrease of the distance to the camera per meter towards it [1/m]."""
 _MOST_CONTACTS = 40
 _CONTACT_RGB = (255, 140, 0)
 _CIRCLE_POINTS = 96
@@ -46,20 +46,20 @@ _ROLE_HEIGHT_M = 0.2
 
 
 class Stage:
-    """Nodes of one scene in a page, for all of its tabs."""
+    """Nodes of one scene on a page, for all browser tabs."""
 
     def __init__(self, server: viser.ViserServer, visible: set[str]) -> None:
         """Light an empty room.
 
         Args:
-            server: The page.
-            visible: Those of :data:`OVERLAYS` that are shown.
+            server: The page's server.
+            visible: Names of the shown overlays, from :data:`OVERLAYS`.
         """
         self._server, self._visible = server, set(visible)
         self.overlays: dict[str, list[Any]] = {name: [] for name in OVERLAYS}
         """Nodes of each overlay."""
         self.bodies: Bodies | None = None
-        """Nodes that move; None before the first scene."""
+        """Nodes of the bodies; None before the first scene."""
         self.instance: Instance | None = None
         """Instance of the scene; None before the first."""
         self._qpos: FloatArray | None = None
@@ -69,14 +69,14 @@ class Stage:
         self.viewpoint = Viewpoint(server, 1.0)
 
     def set_scene(self, scene: Scene, instance: Instance) -> bool:
-        """Show another scene; nodes of a table that looks the same stay.
+        """Show another scene; keep the nodes if its meshes are the same.
 
         Args:
-            scene: Its model is drawn, its data are left alone.
-            instance: Of it.
+            scene: The scene; its model is drawn, its data are neither read nor changed.
+            instance: The instance of the scene.
 
         Returns:
-            Whether all nodes of the page were removed, and others drawn.
+            Whether all nodes of the page were replaced.
         """
         self._scene, known = scene, self.instance
         self.instance = instance
@@ -101,7 +101,7 @@ class Stage:
             )
             self._keep("contacts", [self._contacts])
         wide_m = [abs(r.base.x) + _BESIDE_M for r in instance.scene.robots]
-        # Nearer things appear farther aside.
+        # Perspective moves near objects outwards.
         wide_m += [
             abs(o.pose.x) / (1.0 + _NEARER * o.pose.y) for o in instance.scene.objects
         ]
@@ -109,7 +109,7 @@ class Stage:
         return True
 
     def _draw_reach(self, instance: Instance) -> None:
-        """Draw each robot's reach: surely (solid), and at most (dashed)."""
+        """Draw each robot's certain workspace (solid) and largest reach (dashed)."""
         self._clear("reach")
         nodes, names = [], instance.scene.robot_names
         for name, placed in zip(names, instance.scene.robots, strict=True):
@@ -133,15 +133,15 @@ class Stage:
         every: int,
         thickness: float,
     ) -> Any:
-        """Draw a circle on the table in a robot's color; one line in so many is drawn.
+        """Draw a circle on the table in a robot's color, dashed if ``every`` > 1.
 
         Args:
-            name: Of the node.
+            name: Name of the node.
             placed: The robot.
-            at: Middle of the circle [m].
+            at: Middle of the circle (x, y) [m].
             radius_m: Its radius [m].
-            every: The number of lines of which one is drawn.
-            thickness: Of the lines [px].
+            every: Of this number of segments, one is drawn.
+            thickness: Width of the line [px].
         """
         angles = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)
         x, y = at[0] + radius_m * np.cos(angles), at[1] + radius_m * np.sin(angles)
@@ -155,10 +155,10 @@ class Stage:
         )
 
     def explain(self, insight: Insight | None, paths: Paths) -> None:
-        """Show the policy's reasons and the paths of hands, where there are any.
+        """Show the policy's perception and the paths of hands, if there are any.
 
         Args:
-            insight: Of the policy.
+            insight: The policy's reasons; None for none.
             paths: Names of robots, and points on the paths of their hands [m].
         """
         instance = self.instance
@@ -177,7 +177,7 @@ class Stage:
             self._keep("path", nodes)
 
     def _draw_perceived(self, instance: Instance, insight: Insight) -> list[Any]:
-        """Mark each thing that was seen, its part in the goal, and each reach."""
+        """Mark each perceived object, its role in the goal, and each robot's reach."""
         nodes: list[Any] = []
         robots = zip(insight.robots, instance.scene.robots, strict=False)
         for number, (seen, placed) in enumerate(robots):
@@ -206,7 +206,7 @@ class Stage:
     def _draw_path(
         self, robot: str, points: Sequence[Point], rgb: tuple[int, int, int]
     ) -> list[Any]:
-        """Draw the path of a hand, from where it is to where it ends [m]."""
+        """Draw the path of a hand [m]."""
         at = np.asarray(points, np.float32)
         lines = self._server.scene.add_line_segments(
             f"/path/{robot}/lines",
@@ -221,7 +221,7 @@ class Stage:
         return [lines, ends]
 
     def _clear(self, overlay: str) -> None:
-        """Remove an overlay's nodes, before others with their names are drawn."""
+        """Remove an overlay's nodes before new ones with the same names are drawn."""
         for old in self.overlays[overlay]:
             old.remove()
         self.overlays[overlay] = []
@@ -237,10 +237,10 @@ class Stage:
             handle.visible = visible
 
     def show(self, qpos: FloatArray) -> None:
-        """Put all bodies where they are, and send those that moved.
+        """Show a state; only changed poses are sent.
 
         Args:
-            qpos: Positions of all joints, (nq,).
+            qpos: MuJoCo's joint positions, (nq,).
         """
         if self._scene is None or self.bodies is None:
             return
@@ -251,7 +251,7 @@ class Stage:
                 self._show_contacts(self._scene.model, self.bodies.data)
 
     def refresh(self) -> None:
-        """Show the same state again, with things that are carried by hand."""
+        """Show the same state again, with the offsets of dragged objects."""
         if self._qpos is not None:
             self.show(self._qpos)
 

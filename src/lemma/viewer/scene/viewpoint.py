@@ -1,4 +1,4 @@
-"""The first viewpoint of visitors: it shows all robots, however narrow the window."""
+"""The initial viewpoint of visitors, which shows all robots in any window."""
 
 import math
 
@@ -17,23 +17,23 @@ _FOV_RAD = math.radians(40.0)
 """Vertical field of view [rad]."""
 _PORTRAIT, _PANEL_PX = 0.8, 390
 _HALF_HEIGHT_M = 0.9
-"""Half the height of the smallest view [m]."""
+"""Half the least visible height [m]."""
 _MUCH_M = 0.5
 _SAME_M = 1e-3
 
 
 _Place = tuple[tuple[float, float], FloatArray, FloatArray]
-"""Half the width and height in view, the eye of a visitor's camera, and its target
+"""Half the visible width and height, position of a visitor's camera, and its target
 [m]."""
 _ARM_M, _EDGE = 0.8, 0.94
-"""Height of an arm at rest [m], and the part of a picture that is no edge."""
+"""Height of an arm at rest [m], and share of a picture without its margin."""
 
 
 def half_height_for(*instances: Instance) -> float:
-    """Return half the height of a view that has all robots and objects in it [m].
+    """Return half the height of a view that contains all robots and objects [m].
 
     Args:
-        instances: Of one table, or of several beside each other.
+        instances: The instances of one table or of several side by side.
     """
     scenes = [instance.scene for instance in instances]
     points = [(r.base.x, r.base.y, _ARM_M) for scene in scenes for r in scene.robots]
@@ -44,7 +44,7 @@ def half_height_for(*instances: Instance) -> float:
 
 
 class Viewpoint:
-    """Cameras of all visitors of a page, placed anew for each width of the scene."""
+    """Cameras of all visitors of a page, placed again if the scene's size changes."""
 
     def __init__(
         self,
@@ -53,13 +53,13 @@ class Viewpoint:
         aspect: float = 1.5,
         half_height_m: float = _HALF_HEIGHT_M,
     ) -> None:
-        """Choose the place of visitors who come later.
+        """Set the initial camera of later visitors.
 
         Args:
-            server: The page.
-            half_width_m: Half the width that is in view at least [m].
-            aspect: Width of a window, in heights, before it is known.
-            half_height_m: Half the height that is in view at least [m].
+            server: The page's server.
+            half_width_m: Half the least visible width [m].
+            aspect: Assumed width of a window divided by its height.
+            half_height_m: Half the least visible height [m].
         """
         self._server, self._aspect = server, aspect
         self._places: dict[int, _Place] = {}
@@ -73,18 +73,23 @@ class Viewpoint:
         self._server.initial_camera.position = self._start
 
     def widen(self, half_width_m: float, half_height_m: float = _HALF_HEIGHT_M) -> None:
-        """Show more, or much less [m]; a little less changes nothing."""
+        """Set the least visible size; keep the cameras if it shrinks only a little.
+
+        Args:
+            half_width_m: Half the least visible width [m].
+            half_height_m: Half the least visible height [m].
+        """
         wanted = half_width_m, half_height_m
         less = [old - new for old, new in zip(self._view, wanted, strict=True)]
         if not all(0.0 <= by <= _MUCH_M for by in less):
             self._set(*wanted)
 
     def step_back(self) -> None:
-        """Place the cameras of visitors who do not see all of it yet."""
+        """Place the cameras of visitors who do not see the whole scene yet."""
         places = {}
         for number, client in self._server.get_clients().items():
             place = self._places.get(number)
-            # A slow page reports its first camera after it was placed.
+            # A slow page reports its initial camera after the camera was placed.
             late = (
                 place is not None
                 and _is_at(client, self._start)
@@ -98,16 +103,16 @@ class Viewpoint:
         self._places = places
 
     def _place_for(self, client: viser.ClientHandle, *, new: bool) -> _Place:
-        # In pixels that are drawn; a page may have more or fewer.
+        # Rendered pixels; their number may differ from that of the page.
         width, height = client.camera.image_width, client.camera.image_height
         portrait = width < _PORTRAIT * height
         if new and width > 2 * _PANEL_PX and not portrait:
-            # The panel docks a moment later.
+            # The panel will take this width.
             width -= _PANEL_PX
         eye = eye_for(width / max(height, 1), *self._view)
         down = 0.0
         if portrait:
-            # The panel covers the lower part.
+            # The panel covers the lower part of the window.
             away = float(np.linalg.norm(eye - _TARGET_M))
             down = PHONE_PANEL * away * math.tan(_FOV_RAD / 2.0)
         return self._view, eye - down * _UP, _TARGET_M - down * _UP
@@ -120,12 +125,12 @@ def _is_at(client: viser.ClientHandle, eye: FloatArray) -> bool:
 def eye_for(
     aspect: float, half_width_m: float, half_height_m: float = _HALF_HEIGHT_M
 ) -> FloatArray:
-    """Return where to stand to see the table, (3,) [m].
+    """Return the position of a camera that shows the table, (3,) [m].
 
     Args:
-        aspect: Width of the window, in heights.
-        half_width_m: Half the width that is in view at least [m].
-        half_height_m: The same for the height [m].
+        aspect: Width of the window divided by its height.
+        half_width_m: Half the least visible width [m].
+        half_height_m: Half the least visible height [m].
     """
     half_width = max(half_height_m, half_width_m / max(aspect, 0.2))
     eye: FloatArray = _TARGET_M + half_width / math.tan(_FOV_RAD / 2.0) * _FROM

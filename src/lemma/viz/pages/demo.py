@@ -44,8 +44,8 @@ def write_page(
         path: The HTML file.
         recordings: The episodes.
         illustrations: Their pictures, in the same order.
-        speed: How much faster than real time the videos are.
-        replays: Pages beside this one to turn episodes around, by task.
+        speed: Speed of the videos, as a multiple of real time.
+        replays: File names of interactive replays in the same folder, by task.
     """
     solved = sum(recording.success for recording in recordings)
     simulated = sum(recording.elapsed_s for recording in recordings)
@@ -77,12 +77,15 @@ def illustrate_all(
     """Render every recording, one process per core.
 
     Args:
-        recordings: With frames.
-        folder: Where the videos go.
+        recordings: Recordings with frames.
+        folder: Folder for the videos.
         style: Size and pace of the videos.
         on_video: Called with every video as soon as it is written.
+
+    Returns:
+        The pictures, in the order of the recordings.
     """
-    # The longest first, so that no core waits for it at the end.
+    # Begin with the longest, so that no core waits for it at the end.
     order = sorted(range(len(recordings)), key=lambda i: -recordings[i].elapsed_s)
     jobs = [(i, illustrate, (recordings[i], folder, style)) for i in order]
     done: dict[int, Illustration] = {}
@@ -96,8 +99,8 @@ def illustrate(recording: Recording, folder: Path, style: VideoStyle) -> Illustr
     """Write the video of a recording; return it with poster and map.
 
     Args:
-        recording: With frames.
-        folder: Where the video goes.
+        recording: A recording with frames.
+        folder: Folder for the video.
         style: Size and pace of the video.
     """
     video = folder / f"{recording.instance.task}.mp4"

@@ -4,7 +4,7 @@ const frame = document.querySelector(".player");
 const find = (selector) => document.querySelector(selector);
 let steps = [], cursors = [];
 
-/* Elements with text that is never read as HTML. */
+/* Creates an element; text is never parsed as HTML. */
 function make(tag, attributes, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
@@ -12,7 +12,7 @@ function make(tag, attributes, ...children) {
   return element;
 }
 
-/* Runs in the player: the field with the time leads it, and tells where it is. */
+/* Runs in the player: its time field is used to seek and to read the time. */
 function led(opens) {
   let wanted = opens;
   const field = () => document.querySelector("input[inputmode=decimal]");
@@ -30,7 +30,7 @@ function led(opens) {
     const input = field();
     if (typeof event.data?.seek !== "number" || !input) return;
     seek(input, event.data.seek);
-    // To seek is to pause, as soon as that is drawn.
+    // Seeking pauses the player at its next frame, so play again after that.
     setTimeout(() => play(input), 80);
   });
   setInterval(() => {
@@ -47,7 +47,7 @@ function seek(seconds) {
   frame.scrollIntoView({ block: "nearest" });
 }
 
-/* The chart of a side. It comes with the page, which escapes all words in it. */
+/* The chart of a side. The SVG is part of the page, with all text escaped. */
 function chart(side) {
   const box = make("div", { class: "chart" });
   box.innerHTML = side.gantt;

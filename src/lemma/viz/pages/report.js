@@ -4,7 +4,7 @@ const { policies, causes, kinds, cases } = data.failures;
 const STEP = 20;
 const FAILED = "failed";
 
-/* Elements with text that is never read as HTML. */
+/* Creates an element; text is never parsed as HTML. */
 function make(tag, attributes, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes || {}))
@@ -159,9 +159,9 @@ function picture(source, words, caption, kind) {
 function media(c) {
   const moment = c.mistake === null ? "at the end" : `before sub-task ${c.mistake + 1}`;
   const posed = c.mistake === null || c.steps[c.mistake].posed;
-  const drawn = posed ? "" : " The policy found no poses, so the expert's stand alone.";
+  const drawn = posed ? "" : " The policy gave no poses, so only the expert's are shown.";
   const box = make("div", { class: "media" },
-    picture(c.map, "Map of the table with both choices", `What the cameras saw, ${moment}.${drawn}`, "map"),
+    picture(c.map, "Map of the table with both choices", `Map from the cameras, ${moment}.${drawn}`, "map"),
     make("div", { class: "pair" },
       picture(c.before, "View of the table " + moment, moment[0].toUpperCase() + moment.slice(1) + "."),
       picture(c.after, "View of the table at the end", "At the end.")));
@@ -192,7 +192,7 @@ function step(s, mistake) {
   if (s.errors) facts.push(s.errors);
   item.append(make("span", {}, facts.join(" · ")));
   if (s.departs)
-    // What departs from the expert's choice without being the mistake may be as good.
+    // A choice that differs from the expert's may be equally good.
     item.append(make("span", { class: "expert" }, (mistake ? s.departs + "; " : "") + "the expert: " + s.expert));
   return item;
 }
@@ -224,19 +224,19 @@ function card(c) {
   if (!c.steps.length) box.append(make("p", { class: "faint" }, "It did nothing."));
   if (c.gantt) {
     const chart = make("div", { class: "gantt-box" });
-    // It comes with the page, which escapes all words in it.
+    // The SVG is part of the page, with all text escaped.
     chart.innerHTML = c.gantt;
     chart.querySelector(".cursor").remove();
     box.append(chart);
   }
   if (c.differs)
     box.append(make("p", { class: "warning" },
-      "Played again here, the episode went differently, as with other versions or machines. " + c.differs));
+      "The replay here differs from the result, as with other versions or machines. " + c.differs));
   const more = make("details", {}, make("summary", {}, "See it move"));
   if (!c.video) more.append(command("A video of this episode, played again from its line:", c.film));
   if (c.demo)
-    more.append(command("The policy itself, asked again. It is alone then, not one of ten; a network's " +
-      "last bits may differ, and now and then decide otherwise:", c.demo));
+    more.append(command("The policy again, with this episode alone instead of in a batch of ten. A " +
+      "network's last bits may differ, and some decisions with them:", c.demo));
   if (more.children.length > 1) box.append(more);
   if (c.replay) box.append(replay(c));
   return box;
@@ -247,14 +247,14 @@ const more = document.querySelector(".more");
 function show() {
   options();
   const found = cases.filter((c) => fits(c));
-  // Those with pictures first; otherwise as they are.
+  // Sort cases with pictures first; keep the order otherwise.
   found.sort((a, b) => Boolean(b.map) - Boolean(a.map));
   list.replaceChildren(...found.slice(0, visible).map(card));
   const seen = found.filter((c) => c.map).length;
   document.querySelector(".count").textContent = cases.length
     ? `${found.length} of ${cases.length} episodes; ${seen} with pictures.`
-    : "There are no lines of episodes beside these results: give the folders that 'lemma evaluate' " +
-      "or 'lemma reproduce' wrote.";
+    : "These results have no lines of episodes. Use the folders that 'lemma evaluate' or " +
+      "'lemma reproduce' wrote.";
   const left = found.length - Math.min(visible, found.length);
   more.hidden = left === 0;
   more.textContent = `Show ${Math.min(STEP, left)} more of ${left}`;

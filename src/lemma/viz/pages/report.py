@@ -42,24 +42,26 @@ from lemma.viz.recording import judged, reached_words, trained_words
 PAGE = "index.html"
 _RATE = re.compile(r"^(?:≈ )?([\d.]+)(?: |$)")
 _BRACKETS = re.compile(r" (\([^)]*\)|± [\d.]+)(?=$| †$)")
-"""Intervals and spreads, which are written smaller."""
+"""Intervals and standard deviations, which are written smaller."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """Episodes and pictures of a page, besides the results."""
+    """Episodes and pictures of a page, besides the results.
+
+    The number of an episode is its index in :attr:`cases`.
+    """
 
     cases: Sequence[Case] = ()
-    """Episodes, by policy."""
+    """Episodes, sorted by policy."""
     pictures: Mapping[int, Pictures] = field(default_factory=dict)
-    """By number of the episode."""
+    """Pictures, by number of the episode."""
     missing: str = ""
-    """Why pictures are missing, in a sentence; empty if none are."""
+    """The reason why pictures are missing, as a sentence; empty if none are missing."""
     replays: Mapping[int, str] = field(default_factory=dict)
-    """Pages beside this one, by number of the episode."""
+    """File names of replays in the same folder, by number of the episode."""
     beside: Mapping[int, tuple[tuple[int, str], ...]] = field(default_factory=dict)
-    """Number and policy of other episodes that can be shown beside one, by its
-    number."""
+    """Number and policy of the episodes to compare an episode with, by its number."""
 
 
 def write_report_page(
@@ -129,11 +131,11 @@ def failures_data(found: Findings) -> dict[str, Any]:
 
 
 def demo_command(case: Case) -> str:
-    """Return the command that lets the policy play again; ``""`` if none does."""
+    """Return a command that plays the episode with its policy; ``""`` if none can."""
     row, policy = case.row, case.about["policy"]
     seeds = {entry.get("seed", 0) for entry in case.about["weights"].values()}
     same = (
-        # Weights of other training seeds are found by their path alone.
+        # Weights of other training seeds have no name, only a path.
         (seeds <= {0} or "/" in policy["name"])
         and row["instruction_kind"] == EVALUATION_KINDS[0]
         and case.about["language"] == FULL
@@ -151,7 +153,7 @@ def demo_command(case: Case) -> str:
 
 
 def video_command(case: Case) -> str:
-    """Return the command that films an episode from its line, for any policy."""
+    """Return a command that renders a video of an episode from its line."""
     result = quote(str(result_beside(case.lines)))
     return f"lemma report {result} --episode {case.name} --videos --out out/film"
 
@@ -224,11 +226,11 @@ def _tiles(
 
 
 def _share(table: Table, cell: str) -> str:
-    """Return the rate that a cell begins with [%]; nothing where it is none."""
+    """Return the rate at the start of a cell [%]; ``""`` if there is none."""
     rate = _RATE.match(cell) if table.header[0].endswith("[%]") else None
     return rate[1] if rate else ""
 
 
 def _number(cell: str) -> Markup:
-    """Return a number in HTML, its interval or spread smaller."""
+    """Return a number as HTML, with its interval or standard deviation smaller."""
     return Markup(_BRACKETS.sub(r" <small>\1</small>", str(inline(cell))))

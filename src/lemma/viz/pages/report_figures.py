@@ -28,7 +28,7 @@ _STAGES = (
         if stage is not Stage.DRAGGED
     ),
 )
-"""Parts of a bar; dragging is where lifting is, with the stick."""
+"""Parts of a bar; dragging with the stick has the same rank as lifting."""
 _INTERVALS = (
     "Whiskers: 95 % Wilson intervals where there is one training seed, else ± one "
     "standard deviation over the seeds."
@@ -38,8 +38,8 @@ _INTERVALS = (
 def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
     """Return all figures that are not empty.
 
-    Ablations and control level have tables; controls too, and are plotted only where
-    nothing else is.
+    Ablations and results at control level appear in tables only. Language controls
+    are plotted only if there is nothing else.
     """
     shown: list[PolicyResults] = []
     for left_out in (_NOT_PLOTTED, _NOT_PLOTTED[:2]):
@@ -50,14 +50,18 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
 
 
 def headline_figure(entries: Sequence[PolicyResults]) -> Figure:
-    """Return success by task with high-level instructions; at least one has some."""
+    """Return success by task with high-level instructions.
+
+    Args:
+        entries: Results by policy, at least one with such instructions.
+    """
     return next(_of_kind(entries, EVALUATION_KINDS[0]))
 
 
 def stages_figure(
     entries: Sequence[PolicyResults], kind: str = EVALUATION_KINDS[0]
 ) -> Figure | None:
-    """Return the furthest stages with one kind of instructions, if any are known."""
+    """Return the furthest stages with one kind of instructions; None if unknown."""
     bars = [bar for entry in entries for bar in _furthest(entry, kind)]
     end = words(kind, "-")
     if not bars:
@@ -72,7 +76,7 @@ def stages_figure(
 
 
 def write_figures(folder: Path, figures: Iterable[Figure]) -> None:
-    """Write each figure as an SVG file that needs nothing else."""
+    """Write each figure as a self-contained SVG file."""
     for figure in figures:
         write_text(folder / f"{figure.name}.svg", standalone(figure.svg))
 
@@ -126,7 +130,7 @@ def _by_task(entry: PolicyResults, kind: str, tasks: Sequence[str]) -> Series:
     marks.append(_success(entry.select(kind), over_tasks=True))
     paper = entry.experiment.paper.get(kind) if entry.experiment else None
     if paper is not None:
-        # The paper's mean is over all of them.
+        # The paper's mean is over all tasks of the suite.
         mean = paper.mean if set(tasks) == set(SUITE) else None
         figures = (*map(paper.tasks.get, tasks), mean)
         marks = list(map(_beside, marks, figures))
@@ -159,7 +163,7 @@ def _success(seeds: list[list[Cell]], *, over_tasks: bool = False) -> Mark | Non
         low, high = counted.interval
         successes = f"{counted.successes} of {counted.episodes}"
         text = f"{value:.1%} ({low:.0%}–{high:.0%}), {successes}"
-    # A mean over tasks that have different numbers of episodes may lie outside.
+    # The mean over tasks may lie outside the interval over episodes.
     return Mark(value, min(low, value), max(high, value), text)
 
 
@@ -189,7 +193,7 @@ def _dumbbell(solved: float, reached: float) -> Mark:
 
 
 def _furthest(entry: PolicyResults, kind: str) -> Iterator[Bar]:
-    """Return the bar of a policy, if its results know stages."""
+    """Yield the bar of a policy, if its results have stages."""
     found = [
         one for result in entry.results for one in result.reached if one.kind == kind
     ]

@@ -41,15 +41,15 @@ class Pictures:
     after: bytes
     """The same view of the end, JPEG."""
     differs: str
-    """Where the replay differs from the line; ``""`` if nowhere."""
+    """First difference of the replay from the line; ``""`` if there is none."""
     video: str = ""
-    """File beside the page, if there is one."""
+    """File name of the video in the page's folder; ``""`` if there is none."""
     gantt: str = ""
-    """Which robot did what, and when; SVG."""
+    """Gantt chart of the episode, SVG."""
 
     @property
     def size(self) -> int:
-        """Bytes of all pictures."""
+        """Size of all pictures [bytes]."""
         return len(self.map) + len(self.before) + len(self.after)
 
 
@@ -59,13 +59,16 @@ def picture_all(
     workers: int,
     advance: Callable[[int], None] = lambda count: None,
 ) -> dict[int, Pictures]:
-    """Draw episodes, in some processes.
+    """Draw episodes in parallel processes.
 
     Args:
         cases: Number and episode of each.
-        videos: Folder for videos; None for none.
-        workers: Processes.
-        advance: Called with the number of episodes that were done.
+        videos: Folder for videos; None for no videos.
+        workers: Number of processes.
+        advance: Called with the number of newly finished episodes.
+
+    Returns:
+        The pictures, by number of the episode.
 
     Raises:
         RenderingError: OpenGL does not work here.
@@ -85,8 +88,8 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     """Play an episode again and draw it.
 
     Args:
-        case: A failed episode whose instance is known here.
-        video: Where to write a video of it, if anywhere.
+        case: A failed episode that can be repeated.
+        video: Path of the video to write; None for no video.
     """
     steps, instance, style = case.row["subtasks"], case.instance, VideoStyle()
     moment = len(steps) if case.mistake is None else case.mistake
@@ -111,7 +114,7 @@ def picture(case: Case, video: Path | None = None) -> Pictures:
     top = _map(case, scene, own, expert)
     name = ""
     if video is not None:
-        # The caption says what the policy was told.
+        # The caption shows the policy's instruction.
         said = {**instance.instructions, "high_level": case.row["instruction"]}
         recording = replace(
             again.recording, instance=replace(instance, instructions=said)
@@ -132,7 +135,7 @@ def _map(
     instance = case.instance
     top = annotated_map(instance, scene, camera_images(scene), MAP_PX)
     canvas, occupied = Canvas(top), list[Box]()
-    # The policy's is drawn last, over the expert's.
+    # The policy's arrow is drawn last, over the expert's.
     side = 0.25 if own and expert and _opposed(own, expert) else -0.25
     for who, grounded, ink, bend, width in (
         ("expert", expert, EXPERT_INK, 0.25, 2.4),
@@ -157,7 +160,7 @@ def _map(
 
 
 def _opposed(one: GroundedSubTask, other: GroundedSubTask) -> bool:
-    """Whether two motions go in opposite directions: then they bend apart anyway."""
+    """Whether two motions have opposite directions; their arrows then bend apart."""
     (a, b), (c, d) = ((move.pick, move.place) for move in (one, other))
     return (b.x - a.x) * (d.x - c.x) + (b.y - a.y) * (d.y - c.y) < 0.0
 

@@ -1,4 +1,4 @@
-"""Pages from Jinja2 templates; all values are escaped."""
+"""Pages from Jinja2 templates with escaped values."""
 
 import base64
 import io
@@ -19,7 +19,7 @@ _INLINE = (
 
 
 def inline(text: str) -> Markup:
-    """Return a line of Markdown as HTML; links become their words."""
+    """Return a line of Markdown as HTML; links become plain text."""
     html = str(escape(text))
     for mark, element in _INLINE:
         html = mark.sub(element, html)
@@ -34,12 +34,12 @@ def jpeg(picture: Image.Image) -> bytes:
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """Return a file's content as an address, so that a page needs no other file."""
+    """Return a file's content as a data URI, so that a page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def script_text(text: str) -> Markup:
-    """Return text as a string of JavaScript that no page takes for its own markup."""
+    """Return text as a JavaScript string without sequences that end a script."""
     literal = json.dumps(text, ensure_ascii=False)
     return Markup(literal.replace("</", "<\\/").replace("<!", "\\u003c!"))
 
@@ -51,7 +51,7 @@ _PAGES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-# In the order in which things are given.
+# Keep the order of keys.
 _PAGES.policies["json.dumps_kwargs"] = {"sort_keys": False, "ensure_ascii": False}
 _PAGES.filters["inline"] = inline
 _PAGES.filters["data_uri"] = lambda content, kind: data_uri(kind, content)
@@ -64,8 +64,8 @@ def fill(template: str, **values: object) -> str:
     """Return a page.
 
     Args:
-        template: Name of the file beside this one.
-        values: Of its variables; text is escaped.
+        template: Name of the template, a file in this folder.
+        values: Values of its variables; text is escaped.
     """
     return _PAGES.get_template(template).render(values)
 

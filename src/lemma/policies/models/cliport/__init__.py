@@ -1,1 +1,1 @@
-"""CLIPort, and M-CLIPort without a planner."""
+"""CLIPort, a grounder, and M-CLIPort, a policy without a planner."""

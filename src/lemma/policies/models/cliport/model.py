@@ -1,16 +1,16 @@
-"""CLIPort, slim and CLIP-free by default: where to pick and where to place.
+"""CLIPort in a smaller version, without CLIP: pick and place poses.
 
 After Shridhar et al., *CLIPort: What and Where Pathways for Robotic Manipulation*
-(CoRL 2021), written anew. As there: two streams, of which one hears the sentence;
-connections from one to the other wherever they decode; a pick by attention; a place by
-correlating what lies around the pick, turned in all ways, with the table; softmax over
-all cells and turns. The differences make it small and turn grippers:
+(CoRL 2021), reimplemented. As in the paper, there are two streams, and the semantic one
+is conditioned on the sentence; lateral connections at every level of decoding; pick by
+attention; place by correlation of rotated crops around the pick with the table; softmax
+over all cells and rotations. The differences make it smaller and predict gripper yaws:
 
-- networks of a few millions of weights learn from the start; CLIP's trunk is an option;
-- cells of the output are 16 and 32 mm wide, and a regression says where in them;
-- the pick has a yaw, and the crop is turned by it, so that turns are gripper yaws;
-- features of the crop are turned, instead of the crop: the network looks once;
-- what lies around the place is seen again, to correct it; an option, on by default.
+- networks with a few million weights are trained from scratch;
+- cells of the output are 16 and 32 mm wide, with a regression of the offset in them;
+- the pick has a yaw, and the crop is rotated by it, so rotations are gripper yaws;
+- features of the crop are rotated instead of the crop, so the network runs once;
+- a second look around the place corrects it; this is an option, on by default.
 """
 
 import math
@@ -58,9 +58,9 @@ _MOVE = PRIMITIVES.index("move")
 
 
 class Poses(NamedTuple):
-    """Gripper where it closes and where its motion ends: x, y [m], yaw [rad].
+    """Gripper's poses where it closes and where its motion ends: x, y [m], yaw [rad].
 
-    (B, 3) each; the yaw of the place is the pick's and at most half a turn.
+    Both are (B, 3). The yaws differ by at most half a turn.
     """
 
     pick: Tensor
@@ -70,7 +70,7 @@ class Poses(NamedTuple):
 class PickAndPlace(MapModel):
     """The common base of CLIPort and M-CLIPort: sentence and map to two poses."""
 
-    # Spectra need memory.
+    # The FFTs need much memory.
     at_once = 16
     of_fixed_shape = True
     former_names: ClassVar[Mapping[str, str]] = {r"_text\.reader\.": "_text."}
@@ -79,8 +79,8 @@ class PickAndPlace(MapModel):
         """Make the weights.
 
         Args:
-            config: Sizes.
-            extra: Further outputs of the pick head for each cell.
+            config: Options.
+            extra: Number of further outputs of the pick head for each cell.
         """
         super().__init__()
         self.config: CLIPortConfig = config
@@ -89,7 +89,7 @@ class PickAndPlace(MapModel):
             layers=config.text_layers,
             word_dropout=config.word_dropout,
         )
-        # One each: the pick listens for other words than the place.
+        # Separate encoders, because pick and place depend on different words.
         self.pick_text = TextEncoder(text)
         self.place_text = TextEncoder(text)
         self.pick = PickHead(config, extra)
@@ -102,15 +102,15 @@ class PickAndPlace(MapModel):
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the words of the sentences as numbers."""
-        # Both encoders read alike.
+        # Both encoders have the same vocabulary.
         words = self.pick_text.sentences.read(self.sentences(batch), self.device)
         return {"words": torch.stack(words)}
 
     def look(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the picture, and the sentence as read for the pick and the place."""
+        """Return the image, and the sentence's vectors for the pick and the place."""
         tensors = batch.text_tensors or self.text_tensors(batch)
         texts = Sentences(*tensors["words"])
-        # Means of many words are small; normalised, they have an effect sooner.
+        # Normalise, because means over many words are small and slow down training.
         to_pick, to_place = (
             F.layer_norm(encoder.pooled(texts), (self.config.text_width,))
             for encoder in (self.pick_text, self.place_text)
@@ -118,7 +118,7 @@ class PickAndPlace(MapModel):
         return image_of(batch), to_pick, to_place
 
     def picked(self, seen: Attention, raster: Raster) -> tuple[Tensor, Tensor]:
-        """Return the best pick poses, (B, 3), and the cells that hold them, (B,)."""
+        """Return the best pick poses, (B, 3), and their cells, (B,)."""
         numbers = seen.logits.argmax(1, keepdim=True)
         offsets, yaws, residuals = self.pick.at(seen, numbers)
         best = yaws.argmax(-1, keepdim=True)
@@ -140,12 +140,12 @@ class PickAndPlace(MapModel):
         if self.zoom is not None:
             correction = self.zoom((image, sentence, fit), pick, place, raster)
             place = self.zoom.corrected(place, correction)
-        # The arm turns from one to the other: never the long way round.
+        # The arm takes the shorter way from one yaw to the other.
         yaw = pick[:, 2:] + wrapped(place[:, 2:] - pick[:, 2:])
         return torch.cat([place[:, :2], yaw], 1)
 
     def pick_losses(self, seen: Attention, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses of the pick; ``stop`` has none."""
+        """Return the losses of the pick, without frames of ``stop``."""
         assert batch.labels is not None
         counts, pick, _ = counted(batch.labels)
         cells = pick_cells(batch.raster)
@@ -172,7 +172,7 @@ class PickAndPlace(MapModel):
     def place_losses(
         self, image: Tensor, sentence: Tensor, batch: Batch
     ) -> dict[str, Tensor]:
-        """Return the losses of the place, after the expert's pick."""
+        """Return the losses of the place, given the expert's pick."""
         assert batch.labels is not None
         counts, pick, place = counted(batch.labels)
         cells = place_cells(batch.raster)
@@ -203,7 +203,7 @@ class PickAndPlace(MapModel):
 
 
 class CLIPort(PickAndPlace):
-    """Grounds a sub-instruction: poses of the gripper."""
+    """A grounder: from a sub-instruction to poses of the gripper."""
 
     selection = "grounded"
 
@@ -220,19 +220,19 @@ class CLIPort(PickAndPlace):
         return batch.sub_instructions
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses of pick and place; ``stop`` has none."""
+        """Return the losses of pick and place, without frames of ``stop``."""
         image, to_pick, to_place = self.look(batch)
         picking = self.pick_losses(self.pick(image, to_pick), batch)
         return picking | self.place_losses(image, to_place, batch)
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return how near the poses come; see :func:`score_poses`."""
+        """Return whether the poses are right; see :func:`score_poses`."""
         assert batch.labels is not None
         with self.deciding():
             return score_poses(self.poses(batch), batch.labels, batch.entities)
 
     def poses(self, batch: Batch) -> Poses:
-        """Return where the gripper shall go in each frame."""
+        """Return the poses for each frame."""
         image, to_pick, to_place = self.look(batch)
         pick, _ = self.picked(self.pick(image, to_pick), batch.raster)
         return Poses(pick, self.placed(image, to_place, pick, batch.raster))
@@ -240,7 +240,7 @@ class CLIPort(PickAndPlace):
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        """Return each sub-task with poses; None where it cannot be put in words."""
+        """Return each sub-task with poses; None if it has no sub-instruction."""
         texts = [_words(*pair) for pair in zip(inputs, subtasks, strict=True)]
         indices = [i for i, text in enumerate(texts) if text]
         found: list[GroundedSubTask | None] = [None] * len(texts)
@@ -273,13 +273,13 @@ def _words(policy_input: PolicyInput, subtask: SubTask) -> str:
 
 
 def counted(labels: Labels) -> tuple[Tensor, Tensor, Tensor]:
-    """Return which frames have poses, (B,), and the poses; 0 where there are none."""
+    """Return whether frames have poses, (B,), and the poses, (B, 3); 0 without any."""
     counts = labels.decision[:, 1] != STOP
     return counts, labels.pick_pose.nan_to_num(), labels.place_pose.nan_to_num()
 
 
 def mean_over(values: Tensor, counts: Tensor) -> Tensor:
-    """Return the mean of one value a frame, (B,), over those that count."""
+    """Return the mean of values, (B,), over the frames that count, (B,) bool."""
     return (values * counts).sum() / counts.sum().clamp(min=1)
 
 
@@ -290,20 +290,19 @@ def _distance(offsets: Tensor, wanted: Tensor) -> Tensor:
 def score_poses(
     found: Poses, labels: Labels, entities: EntitySet = BENCHMARK
 ) -> dict[str, Tensor]:
-    """Return how near poses come to the expert's, (B,) each; NaN for ``stop``.
+    """Return whether poses match the expert's, (B,) each; NaN for ``stop``.
 
-    ``grounded`` says whether pick and place are right, in all frames and in those of
-    each primitive.
+    ``grounded`` is whether pick and place are right, for all frames and by primitive.
 
-    A pick is right within 2 cm and 10 degrees, where half a turn makes no difference,
-    and a quarter turn none of a cube; a place within 2 cm, with the stick also within
-    8 degrees, and within 6 cm where anything in the shared space will do. Round
-    objects may be held from any side.
+    A pick is right within 2 cm and 10 degrees, up to the symmetry of the grasp: half
+    turns, and quarter turns for cubes; any yaw for round objects. A place is right
+    within 2 cm, or within 6 cm in the shared region, where any position is valid; the
+    stick also within 8 degrees.
 
     Args:
         found: Predicted poses.
-        labels: The expert's.
-        entities: Entities whose numbers the labels have.
+        labels: The expert's poses.
+        entities: Entities, in the order of their numbers.
     """
     counts, pick, place = counted(labels)
     _, primitive, entity, goal = labels.decision.unbind(1)
@@ -312,7 +311,7 @@ def score_poses(
     pick_m = (found.pick[:, :2] - pick[:, :2]).norm(dim=1)
     pick_yaw = _apart(found.pick[:, 2] - pick[:, 2], turns)
     place_m = (found.place[:, :2] - place[:, :2]).norm(dim=1)
-    # The held object turns by the difference.
+    # The difference of the yaws is the rotation of the held object.
     turn = (found.place[:, 2] - found.pick[:, 2]) - (place[:, 2] - pick[:, 2])
     held = torch.where(is_stick, 2 * math.pi, turns)
     place_yaw = _apart(turn, held) + torch.where(is_stick, pick_yaw, 0.0)
@@ -340,11 +339,11 @@ def score_poses(
 
 
 def _apart(angle: Tensor, symmetry: Tensor) -> Tensor:
-    """Return how far an angle is from the next multiple of a symmetry [rad].
+    """Return the distance of an angle from the nearest multiple of a symmetry [rad].
 
     Args:
         angle: [rad], (B,).
-        symmetry: [rad], (B,); 0 where any angle looks the same.
+        symmetry: [rad], (B,); 0 for full rotational symmetry.
     """
     turn = symmetry.clamp(min=_LEAST_RAD)
     return (torch.remainder(angle + turn / 2, turn) - turn / 2).abs()
@@ -355,18 +354,18 @@ class MCLIPortConfig(CLIPortConfig):
     """Options of :class:`MCLIPort`."""
 
     word_dropout: Share = 0.1
-    """Share of words that are unknown in training."""
+    """Share of words that are replaced by the unknown word in training."""
     robots: Depth = 2
     """Number of robots of every scene."""
 
 
 class MCLIPort(PickAndPlace):
-    """CLIPort end to end, from an instruction to robot, primitive, poses.
+    """End-to-end CLIPort, from an instruction to robot, primitive and poses.
 
-    The networks are CLIPort's. The pick head says for each cell also which robot and
-    which primitive would pick there (paper, section V); they are read where it picks.
-    ``stop`` picks nowhere, so it is read from the picture as a whole. It remembers
-    nothing.
+    The networks are CLIPort's. The pick head also predicts robot and primitive for each
+    cell (paper, section V); the decision has those of the pick's cell. ``stop`` has no
+    pick, so it is predicted from the features of the whole image. The policy has no
+    history.
     """
 
     selection = "decided"
@@ -410,7 +409,7 @@ class MCLIPort(PickAndPlace):
         }
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return whether decisions are the expert's, and how near the poses come."""
+        """Return whether decisions and poses match the expert's."""
         assert batch.labels is not None
         with self.deciding():
             stop, who, what, poses = self._decide(batch)
@@ -430,7 +429,7 @@ class MCLIPort(PickAndPlace):
             }
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
-        """Return the next decision of each episode; it names no entities."""
+        """Return the next decision of each episode, without names of entities."""
         found = []
         with self.deciding():
             for batch in self.batches(inputs):

@@ -1,17 +1,17 @@
-"""The networks of CLIPort, slim: two streams, pick attention, place transport, zoom.
+"""The networks of CLIPort: two streams, pick attention, place transport, zoom.
 
-Of the streams, the spatial one sees color and height and not the sentence; the semantic
-one sees color and the sentence, which scales and shifts its features at every level of
-decoding. Features of the spatial stream are added to it at every level of decoding.
+The spatial stream has color and height as input, but not the sentence. The semantic
+stream has color and the sentence, which scales and shifts its features at every level
+of decoding (FiLM), where features of the spatial stream are added, too.
 
-Attention says for each cell whether to pick there. Transport cuts out what lies around
-the pick, turns it, and says for each cell and each turn how well it fits there. Cells
-are coarse; small networks that read the features of a cell say where in it, and which
-yaw near the middle of a bin.
+Attention scores each cell for the pick. Transport crops the surroundings of the pick,
+rotates them, and scores each cell and rotation for the place. Cells are coarse; small
+networks on the features of a cell predict the offset in it, and the residual of the
+yaw's bin.
 
-The zoom looks again at the place, as the gripper there would see it. A stick that shall
-touch a cube reaches half a metre from the gripper, so that centimetres and degrees
-count. CLIPort has no such step; RVT-2 (Goyal et al., 2024) zooms in likewise.
+The zoom crops the surroundings of the place in the gripper's frame and corrects the
+pose. The stick touches a cube half a meter from the gripper, so centimeters and degrees
+matter. CLIPort has no such step; RVT-2 (Goyal et al., 2024) has a similar one.
 """
 
 import math
@@ -50,14 +50,14 @@ from lemma.scene.raster import Raster
 STRIDE = 4
 """Cells of the map along a side of a cell of features."""
 _FINER = 2
-"""The pick has so many cells along a side of a cell of features."""
+"""Cells of the pick along a side of a cell of features."""
 IMAGE_CHANNELS = 8
 _SEMANTIC = 5
 _HEIGHT_SCALES_M = (0.3, 0.05)
 _HEIGHT_LIMIT = 2.0
 _LOUDNESS = 3.0
-"""First scale of the sentence's effect. With a scale of 1 it stayed without effect for
-thousands of steps: a network that picks any cube hardly learns colors any more."""
+"""Initial scale of the sentence's effect. With a scale of 1 the sentence had no effect
+for thousands of steps, and the network learned to pick any cube."""
 _READ_WIDTH = 128
 _FIRST_SCALE = 1 / 16
 _FAR_M = 0.5
@@ -66,7 +66,7 @@ _NOISE = (0.03, 0.03, math.radians(10.0))
 _GRASP = STICK_KIND.grasp
 assert _GRASP is not None
 _STICK_M = max(axis.end[0] for axis in STICK_KIND.shell.capsules) - _GRASP.at.x
-"""How far from its grasp the stick reaches along itself."""
+"""Distance from the stick's grasp to its end [m]."""
 _CROP_M = 2 * round(_STICK_M + 0.06, 2)
 
 
@@ -75,26 +75,26 @@ class CLIPortConfig(MapConfig):
     """Options of CLIPort."""
 
     widths: Widths = (32, 64, 128, 224)
-    """Channels at a quarter to a 32nd of the map's resolution."""
+    """Channels at 1/4, 1/8, 1/16 and 1/32 of the map's resolution."""
     query_widths: Widths = (32, 64, 96, 128)
-    """The same of the network that sees what lies around the pick."""
+    """The same for the network on the crop around the pick."""
     bins: Count = 12
-    """Number of bins of yaw; each is refined by a residual."""
+    """Number of bins of yaw, each with a residual."""
     kernel_channels: Width = 8
-    """Channels that are correlated."""
+    """Number of correlated channels."""
     crop: Count = 128
-    """Cells along a side of what is seen around the pick, and around the place."""
+    """Cells along a side of the crops around the pick and around the place."""
     crop_m: Extent = _CROP_M
-    """Side of that [m]; it should hold the stick, wherever it is grasped."""
+    """Side of the crops [m]; it should contain the stick for any grasp."""
     zoom: bool = True
-    """Whether to look again at the place that was found, which CLIPort does not."""
+    """Whether to correct the place from a crop around it; CLIPort has no such step."""
     text_width: Width = 192
     """Width of a word."""
     text_layers: Depth = 2
     """Transformer layers over the words."""
     word_dropout: Share = 0.0
-    """Share of words that are unknown in training; each word of a sub-instruction
-    counts."""
+    """Share of words that are replaced by the unknown word in training; 0, because each
+    word of a sub-instruction matters."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -111,11 +111,11 @@ class CLIPortConfig(MapConfig):
 
 
 def image_of(batch: Batch) -> Tensor:
-    """Return what is seen as a picture for the networks.
+    """Return the input image of the networks.
 
     Returns:
         (B, 8, rows, columns) float32: color from -1 to 1; height in two scales, one
-        for arms and one for what lies on the table; coverage; x and y [m].
+        for arms and one for objects on the table; coverage; x and y [m].
     """
     rows, columns = batch.height_m.shape[1:]
     device = batch.height_m.device
@@ -134,17 +134,17 @@ def image_of(batch: Batch) -> Tensor:
 
 
 class Encoder(Network):
-    """Features at a quarter, an eighth, a 16th and a 32nd of the resolution."""
+    """Features at 1/4, 1/8, 1/16 and 1/32 of the resolution."""
 
     def __init__(self, channels_in: int, widths: Sequence[int]) -> None:
         """Make the weights.
 
         Args:
-            channels_in: Channels of the picture.
+            channels_in: Channels of the image.
             widths: Channels of each level, from fine to coarse.
         """
         super().__init__()
-        # Patches first: convolutions of few channels at full resolution cost most.
+        # Begin with patches, because convolutions at full resolution cost the most.
         self.stem = nn.Conv2d(channels_in * STRIDE**2, widths[0], 1, bias=False)
         self.stem_norm = norm(widths[0])
         self.levels = nn.ModuleList([ResidualBlock(widths[0], widths[0])])
@@ -154,7 +154,7 @@ class Encoder(Network):
         self.widths = tuple(widths)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Map (B, channels_in, H, W), sides divisible by 4, to all levels."""
+        """Map (B, channels_in, H, W), with sides divisible by 4, to all levels."""
         x = F.pixel_unshuffle(image, STRIDE)
         x = F.silu(self.stem_norm(self.stem(x)))
         found = []
@@ -166,7 +166,7 @@ class Encoder(Network):
 
 
 class _Up(nn.Module):
-    """Enlarge coarse features, add what the encoder saw there, and look around."""
+    """Upsample coarse features, add the encoder's features, and convolve."""
 
     def __init__(self, coarser: int, skip: int, width: int) -> None:
         super().__init__()
@@ -180,7 +180,7 @@ class _Up(nn.Module):
 
 
 class _FiLM(nn.Module):
-    """Scale and shift channels by what a sentence says."""
+    """Scale and shift channels by a sentence's vector."""
 
     def __init__(self, sentence_width: int, width: int) -> None:
         super().__init__()
@@ -195,7 +195,7 @@ class _FiLM(nn.Module):
 
 
 class _Lateral(nn.Module):
-    """Let what one stream decoded flow into the other."""
+    """A lateral connection from the spatial to the semantic stream."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -206,7 +206,7 @@ class _Lateral(nn.Module):
 
 
 class TwoStreams(Network):
-    """A picture and a sentence in, features at a quarter of the resolution out."""
+    """Two streams from an image and a sentence to features at 1/4 of the resolution."""
 
     def __init__(self, widths: Sequence[int], sentence_width: int) -> None:
         """Make the weights.
@@ -233,10 +233,10 @@ class TwoStreams(Network):
         self.context_width = widths[-1]
 
     def forward(self, image: Tensor, sentence: Tensor) -> tuple[Tensor, Tensor]:
-        """Look at a picture with a sentence in mind.
+        """Return features of an image, conditioned on a sentence.
 
         Args:
-            image: From :func:`image_of`, or cut out of it, (B, 8, H, W).
+            image: From :func:`image_of`, or a crop of it, (B, 8, H, W).
             sentence: (B, sentence_width).
 
         Returns:
@@ -264,15 +264,15 @@ class Attention:
     """Output of the pick head."""
 
     maps: Tensor
-    """(B, 1 + extra, rows, columns): first how much to pick there."""
+    """(B, 1 + extra, rows, columns); the first channel has the logits of the pick."""
     features: Tensor
     """(B, C, rows / 2, columns / 2)."""
     context: Tensor
-    """(B, D): of the picture as a whole."""
+    """Features of the whole image, (B, D)."""
 
     @property
     def logits(self) -> Tensor:
-        """How much to pick in each cell, (B, cells), float32."""
+        """Logits of the pick's cell, (B, cells), float32."""
         return self.maps[:, 0].flatten(1).float()
 
 
@@ -281,24 +281,24 @@ class Fit:
     """Output of the place head."""
 
     logits: Tensor
-    """How well what is picked fits, (B, bins, rows, columns), float32."""
+    """Logits of the place's rotation and cell, (B, bins, rows, columns), float32."""
     features: Tensor
     """(B, C, rows, columns)."""
     query: Tensor
-    """(B, D): of the crop as a whole."""
+    """Features of the whole crop, (B, D)."""
 
 
 Looked = tuple[Tensor, Tensor, Fit]
-"""Picture, sentence, and what the place head made of them."""
+"""Image, sentence, and output of the place head for them."""
 
 
 def pick_cells(raster: Raster) -> Cells:
-    """Return the cells in which something is picked."""
+    """Return the cells of the pick."""
     return Cells.of(raster, STRIDE // _FINER)
 
 
 def place_cells(raster: Raster) -> Cells:
-    """Return the cells in which something is placed."""
+    """Return the cells of the place."""
     return Cells.of(raster, STRIDE)
 
 
@@ -306,7 +306,7 @@ class PickHead(nn.Module):
     """Predicts the pick pose: position and yaw."""
 
     def __init__(self, config: CLIPortConfig, extra: int) -> None:
-        """Make the weights; further outputs of each cell are ``extra``."""
+        """Make the weights; each cell has ``extra`` further outputs."""
         super().__init__()
         self.streams = TwoStreams(config.widths, config.text_width)
         width = self.streams.width
@@ -320,13 +320,13 @@ class PickHead(nn.Module):
         self.bins = config.bins
 
     def forward(self, image: Tensor, sentence: Tensor) -> Attention:
-        """Look at the whole picture, (B, 8, rows, columns)."""
+        """Return logits and features of the image, (B, 8, rows, columns)."""
         features, context = self.streams(image, sentence)
         maps = F.pixel_shuffle(self.maps(features), _FINER)
         return Attention(maps, features, context)
 
     def at(self, seen: Attention, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Say more about some cells.
+        """Return the predictions for some cells.
 
         Args:
             seen: From :meth:`forward`.
@@ -334,7 +334,7 @@ class PickHead(nn.Module):
 
         Returns:
             Offsets in the cell, (B, K, 2), logits of the bins of yaw, (B, K, bins),
-            and residuals for each of them in widths of a bin, (B, K, bins); float32.
+            and the residual of each bin in widths of a bin, (B, K, bins); float32.
         """
         columns = seen.maps.shape[-1]
         row, column = numbers // columns, numbers % columns
@@ -368,18 +368,18 @@ class PlaceHead(nn.Module):
     def forward(
         self, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster
     ) -> Fit:
-        """Try what is picked everywhere, turned in all ways.
+        """Correlate the crop around the pick with the map, in all rotations.
 
         Args:
             image: (B, 8, rows, columns).
             sentence: (B, width).
-            pick: Gripper where it closes: x, y [m], yaw [rad], (B, 3).
-            raster: Where the cells are.
+            pick: Gripper's pose where it closes: x, y [m], yaw [rad], (B, 3).
+            raster: Raster of the map.
         """
         features, _ = self.key(image, sentence)
         crop = crop_about(image, pick, raster, self.crop, self.crop_m)
         around, query = self.query(crop, sentence)
-        # A kernel has cells of the same size as the map that it is slid over.
+        # Resample the kernel to cells of the same size as the map's.
         kernels = turned(
             self.to_kernel(around).float(),
             bin_yaws(self.bins, image.device),
@@ -396,14 +396,14 @@ class PlaceHead(nn.Module):
         pick: Tensor,
         cells: Cells,
     ) -> tuple[Tensor, Tensor]:
-        """Say more about some cells and bins.
+        """Return the predictions for some cells and bins.
 
         Args:
             seen: From :meth:`forward`.
             numbers: Numbers of place cells, (B, K).
             bin_numbers: Numbers of the bins of yaw, (B, K).
             pick: As in :meth:`forward`.
-            cells: Where the cells are.
+            cells: Cells of the place.
 
         Returns:
             Offsets in the cell, (B, K, 2), and residuals of yaw in widths of a bin,
@@ -422,7 +422,7 @@ class PlaceHead(nn.Module):
 
 
 def reader(width: int, out: int) -> nn.Sequential:
-    """Return the small network that reads the features of a cell."""
+    """Return a small network from ``width`` features of a cell to ``out`` numbers."""
     return nn.Sequential(
         nn.Linear(width, _READ_WIDTH),
         nn.SiLU(),
@@ -433,7 +433,7 @@ def reader(width: int, out: int) -> nn.Sequential:
 
 
 class Zoom(nn.Module):
-    """Corrects where the place head would go."""
+    """Corrects the place pose from a crop around it."""
 
     def __init__(self, config: CLIPortConfig) -> None:
         """Make the weights."""
@@ -446,22 +446,22 @@ class Zoom(nn.Module):
     def forward(
         self, seen: Looked, pick: Tensor, place: Tensor, raster: Raster
     ) -> Tensor:
-        """Look around a place.
+        """Return the correction of a place pose.
 
         Args:
-            seen: Picture, sentence, and what the place head made of them.
-            pick: Gripper where it closes, (B, 3).
-            place: Gripper where the motion shall end, about, (B, 3).
-            raster: Where the cells are.
+            seen: Image, sentence, and output of the place head for them.
+            pick: Gripper's pose where it closes, (B, 3).
+            place: Approximate pose where the motion ends, (B, 3).
+            raster: Raster of the map.
 
         Returns:
-            How far ahead, to the left and counter-clockwise it should be, (B, 3), in
-            units of some centimetres and degrees; float32.
+            Correction ahead, to the left and counter-clockwise in the gripper's frame,
+            (B, 3), in units of some centimeters and degrees; float32.
         """
         image, sentence, fit = seen
         crop = crop_about(image, place, raster, self.crop, self.crop_m)
         around, context = self.streams(crop, sentence)
-        # The four cells in the middle.
+        # The four central cells.
         row, column = around.shape[-2] // 2, around.shape[-1] // 2
         middle = around[..., row - 1 : row + 1, column - 1 : column + 1].mean((2, 3))
         there = read_at(fit.features, place_cells(raster).holding(place[:, None, :2]))[
@@ -475,7 +475,7 @@ class Zoom(nn.Module):
         return found.float()
 
     def corrected(self, place: Tensor, correction: Tensor) -> Tensor:
-        """Return a place with what :meth:`forward` said of it, (B, 3)."""
+        """Return a place pose, (B, 3), with a correction from :meth:`forward`."""
         ahead, left = (correction[:, :2] * _UNIT_M).unbind(1)
         cos, sin = place[:, 2].cos(), place[:, 2].sin()
         return torch.stack(
@@ -488,7 +488,7 @@ class Zoom(nn.Module):
         )
 
     def loss(self, seen: Looked, pick: Tensor, place: Tensor, raster: Raster) -> Tensor:
-        """Return how wrong the corrections of places near the expert's are, (B,)."""
+        """Return the loss of corrections of perturbed expert's places, (B,)."""
         tried = place
         if self.training:
             noise = torch.rand_like(place) * 2.0 - 1.0

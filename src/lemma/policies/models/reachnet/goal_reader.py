@@ -1,12 +1,13 @@
-"""ReachNet's reader: from a sentence to the (top, bottom) pairs that it asks for.
+"""ReachNet's reader: from a sentence to the (top, bottom) pairs of its goal.
 
-It looks at the places where a color is named, or a thing of one color only. For every
-two of them it scores that the one shall lie on the other, and for each its kind. The
-score of a goal is the sum over its pairs, and all possible goals compete. So it cannot
-memorise colors or places in a sentence.
+The reader finds the mentions: words that name a color, or an entity that exists in one
+color only. It scores the kind of each mention, and for every two of them that the first
+is to be on the second. The score of a goal is the sum over its pairs, with a softmax
+over all possible goals. So the reader cannot memorise colors or positions in sentences.
 
-It also says how likely a sentence is an order at all, and if not, why: p(goal) =
-p(order) p(goal | order). Goals and reasons to refuse are one distribution.
+It also predicts the probability that a sentence is an order, and otherwise the reason
+for refusal: p(goal) = p(order) p(goal | order). Goals and reasons for refusal form one
+distribution.
 """
 
 from collections.abc import Sequence
@@ -35,16 +36,16 @@ from lemma.policies.text.refusals import REASONS
 from lemma.tasks.language.template import GoalPairs
 
 _MENTIONS = 12
-"""Names in a sentence that are looked at."""
+"""Largest number of mentions in a sentence."""
 _NEVER = -30.0
 _ABSENT = -6.0
-"""Loss of log-probability of a goal for each thing that is not seen."""
+"""Change of a goal's log-probability for each entity that is not seen."""
 _FAR = 24
-"""Words further apart than this are all the same."""
+"""Largest relative position of words; larger ones are clipped."""
 _NEAR = 5
-"""Words that are read together before all others."""
+"""Width of the convolution over words before the attention."""
 _SCALE = 10.0
-"""How much faster weights of places are learned than others."""
+"""Ratio of the learning rate of position biases to that of other weights."""
 
 
 @dataclass(frozen=True)
@@ -58,44 +59,45 @@ class ReaderConfig:
     heads: Depth = 4
     """Number of heads of the attention."""
     max_words: Count = 80
-    """Words and marks behind these are not read."""
+    """Largest number of words and punctuation marks; later ones are not read."""
     dropout: Share = 0.1
-    """Share of values that are left out in training."""
+    """Probability of dropout in training."""
     word_dropout: Share = 0.08
-    """Share of words that are unknown in training."""
+    """Share of words that are replaced by the unknown word in training."""
     embedding_dropout: Share = 0.4
-    """Share of words of which training is shown the pretrained vector alone."""
+    """Share of words without their learned embedding in training, so that the reader
+    learns to use the pretrained vectors."""
     guesses: bool = False
-    """Whether a text without words asks for what the table makes likeliest, instead of
-    nothing: for a reader that is taught without sentences."""
+    """Whether a text without words has the goal that is most likely in the scene,
+    instead of none: for a reader that is trained without sentences."""
     refuses: bool = True
-    """Whether it can say that a sentence is no order, and why."""
+    """Whether the reader predicts that a sentence is no order, and why."""
     lessons: Share = 0.5
-    """Sentences for the reader alone, for each frame of a batch of training: some that
-    are no orders, and orders that look like them. For a reader that refuses."""
+    """Number of sentences for the reader alone, per frame of a training batch:
+    sentences to refuse, and orders that look similar. Only for a reader that
+    refuses."""
     refuse_from: Share = 0.7
-    """How likely a sentence must be no order for the policy to stop."""
+    """Probability of refusal from which the policy stops."""
     temperature: Temperature = 1.8
-    """Log-probabilities of goals, and those of reasons, are divided by this, so that
-    its certainty is how often it is right."""
+    """Divisor of the log-probabilities of goals and of reasons, for calibrated
+    probabilities."""
 
 
 class Readings(NamedTuple):
     """Readings of B sentences."""
 
     goals: Tensor
-    """The two likeliest goals of each, (B, 2, conjuncts, 2); -1 for none."""
+    """The two most likely goals, (B, 2, conjuncts, 2); -1 for none."""
     shares: Tensor
-    """How likely each is, (B, 2)."""
+    """Probabilities of these goals, (B, 2)."""
     reasons: Tensor
-    """Number of the likeliest reason to refuse each, (B,); -1 where it is rather an
-    order."""
+    """Index of the most likely reason for refusal, (B,); -1 for an order."""
     refused: Tensor
-    """How likely it is no order, (B,)."""
+    """Probability of refusal, (B,)."""
 
 
 class GoalReader(WordEmbedding):
-    """Reads goals."""
+    """A network from sentences to goals."""
 
     goals: Tensor
     numbers: Tensor
@@ -109,7 +111,7 @@ class GoalReader(WordEmbedding):
 
         Args:
             config: Options; the defaults if None.
-            entities: Entities, in the order of their numbers; goals may name all but
+            entities: Entities, in the order of their numbers; goals may have all except
                 the stick.
         """
         config = config or ReaderConfig()
@@ -135,7 +137,7 @@ class GoalReader(WordEmbedding):
         self.order: nn.Sequential | None = None
         if config.refuses:
             last = nn.Linear(width, 1 + len(REASONS))
-            # Nearly all are orders to a reader that has learned nothing.
+            # The initial bias makes nearly all sentences orders.
             nn.init.constant_(last.bias[:1], 4.0)
             self.order = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), last)
         goals, numbers = _goals(self.cargo, self.targets)
@@ -155,13 +157,13 @@ class GoalReader(WordEmbedding):
     def loss(
         self, texts: Texts, goals: Tensor, reasons: Tensor | None = None
     ) -> Tensor:
-        """Return how unlikely the goals are held; a mean over sentences.
+        """Return the mean negative log-likelihood of goals and reasons.
 
         Args:
             texts: Sentences.
             goals: Their goals, (B, conjuncts, 2), in any order; -1 for none.
-            reasons: Numbers of the reasons why they are no orders, (B,); -1 where they
-                are. All are, if None.
+            reasons: Indices of the reasons for refusal, (B,); -1 for orders. None if
+                all are orders.
         """
         wanted = self._number(goals)
         if reasons is not None:
@@ -172,18 +174,17 @@ class GoalReader(WordEmbedding):
     def read(
         self, texts: Sequence[str], present: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return the likeliest goals, (B, conjuncts, 2), and reasons to refuse, (B,).
+        """Return the most likely goals, (B, conjuncts, 2), and reasons, (B,).
 
-        -1 stands for no goal, and for no reason.
+        -1 stands for no goal, and for no reason for refusal.
 
-        Of two pairs the one that is named first comes first. A text without words asks
-        for nothing, unless the options say that it is guessed from the table; nor does
-        one that is refused.
+        The pairs are in the order of their mentions. A refused sentence has no goal,
+        and neither has a text without words, unless the option ``guesses`` is set.
 
         Args:
             texts: Sentences.
-            present: Which entities are seen, (B, entities) bool. Goals that need
-                others are less likely: "on the red one" means one that is there.
+            present: Whether entities are seen, (B, entities) bool. Goals with unseen
+                entities are less likely: "the red one" means an object in the scene.
         """
         found = self.weigh(texts, present)
         acts = found.refused < self.config.refuse_from
@@ -192,10 +193,10 @@ class GoalReader(WordEmbedding):
 
     @torch.no_grad()
     def weigh(self, texts: Sequence[str], present: Tensor | None = None) -> Readings:
-        """Return what sentences may ask for, and how likely; see :meth:`read`.
+        """Return the most likely goals with their probabilities; see :meth:`read`.
 
-        Whether a sentence is an order does not depend on the table: its answer is the
-        same throughout an episode.
+        The probability of refusal does not depend on the scene, so it is constant
+        throughout an episode.
         """
         sentences = self.sentences.read(texts, self.alike.device)
         scores, order, first = self._scores(sentences)
@@ -209,7 +210,7 @@ class GoalReader(WordEmbedding):
         count = len(self.goals)
         likely, number = shares[:, :count].topk(2)
         best = self.goals[number]
-        # Behind everything else comes what is none.
+        # A missing pair comes last.
         places = F.pad(first, (0, 1), value=2 * self.config.max_words)
         named = (best % (self.targets + 1)).flatten(1)
         place = places.gather(1, named).view_as(best).amin(-1)
@@ -225,12 +226,12 @@ class GoalReader(WordEmbedding):
         return Readings(best, likely, reasons, refused)
 
     def _scores(self, sentences: Sentences) -> tuple[Tensor, Tensor | None, Tensor]:
-        """Return what is known of sentences.
+        """Return scores and mentions of sentences.
 
         Returns:
-            Each goal's score; the log-probability of an order and of each reason for
-            there being none, (B, 1 + reasons), or None; and where each entity is first
-            named, (B, T).
+            The score of each goal, (B, goals); the log-probability of an order and of
+            each reason for refusal, (B, 1 + reasons), or None; and the position of each
+            entity's first mention, (B, T).
         """
         tokens, whole = self._encoded(sentences)
         order = None
@@ -247,7 +248,7 @@ class GoalReader(WordEmbedding):
         meant = names[:, :, None] == self.group
         pairs = self._pairs(said, meant)
         count = self.count(whole).float().log_softmax(-1)
-        # One place more, of no worth, is the second pair of goals that have one.
+        # An extra pair of score 0 is the second pair of goals with a single pair.
         flat = F.pad(pairs.flatten(1), (0, 1))
         one = self.goals[..., 0] == NOBODY
         slots = self.goals[..., 0] * self.targets + self.goals[..., 1]
@@ -257,15 +258,15 @@ class GoalReader(WordEmbedding):
         return flat[:, slots].sum(-1) + count[:, size], order, first
 
     def _pairs(self, said: Tensor, meant: Tensor) -> Tensor:
-        """Return how likely each thing shall lie on each other, (B, C, T).
+        """Return the score of each (top, bottom) pair, (B, C, T).
 
         Args:
-            said: Tokens of what is named, (B, M, width).
-            meant: Which entities have such a name, (B, M, T) bool.
+            said: Tokens of the mentions, (B, M, width).
+            meant: Whether each mention may name each entity, (B, M, T) bool.
         """
         top, bottom = self.top(said).float(), self.bottom(said).float()
         fit = top @ bottom.transpose(1, 2) / top.shape[-1] ** 0.5
-        # One mention is not both, but a cube may lie on a pad of its color.
+        # One mention cannot be both, but two mentions may have the same color.
         same = torch.eye(said.shape[1], dtype=torch.bool, device=said.device)
         fit = fit.masked_fill(same, _NEVER)
         kind = self.kind(said).float().log_softmax(-1)[:, :, self.kinds]
@@ -276,7 +277,7 @@ class GoalReader(WordEmbedding):
         return found
 
     def _encoded(self, sentences: Sentences) -> tuple[Tensor, Tensor]:
-        """Return a token for each word, (B, L, width), and one for all of them."""
+        """Return tokens of words, (B, L, width), and of whole sentences, (B, width)."""
         mask = sentences.mask
         spared = (sentences.names != NO_NAME) | ~mask
         dropped = self.drawn(spared, self.config.word_dropout)
@@ -293,7 +294,7 @@ class GoalReader(WordEmbedding):
         return tokens, whole
 
     def _bias(self, sentences: Sentences, mask: Tensor) -> Tensor:
-        """Return what is added to the attention, (B, heads, L, L)."""
+        """Return the attention bias, (B, heads, L, L)."""
         place = torch.arange(mask.shape[1], device=mask.device)
         away = (place[None] - place[:, None]).clamp(-_FAR, _FAR) + _FAR
         same = (sentences.names[:, :, None] == sentences.names[:, None]) & (
@@ -304,7 +305,7 @@ class GoalReader(WordEmbedding):
         return bias.masked_fill(~seen, _NEVER).permute(0, 3, 1, 2)
 
     def _number(self, goals: Tensor) -> Tensor:
-        """Return the numbers of goals, (B,)."""
+        """Return the indices of goals, (B,)."""
         top, bottom = goals.unbind(-1)
         none = self.cargo * self.targets
         slots = torch.where(top == NOBODY, none, top * self.targets + bottom)
@@ -321,9 +322,10 @@ def _joint(scores: Tensor, order: Tensor | None) -> Tensor:
 
 
 def _slopes(heads: int) -> Tensor:
-    """Return first weights of places, (2 * far + 1, heads): nearer ones weigh more.
+    """Return initial biases of relative positions, (2 * far + 1, heads).
 
-    Half of the heads begin with the words before, the others with those behind.
+    Nearer words have larger biases. Half of the heads prefer the words before, the
+    others those after.
     """
     if made_without_numbers():
         return torch.empty(2 * _FAR + 1, heads)
@@ -334,9 +336,9 @@ def _slopes(heads: int) -> Tensor:
 
 
 def _goals(cargo: int, targets: int) -> tuple[Tensor, Tensor]:
-    """Return all goals, (goals, 2, 2), and their numbers by the slots of their pairs.
+    """Return all goals, (goals, 2, 2), and their indices by the numbers of their pairs.
 
-    A top can be moved, has one place, and does not lie on what lies on itself.
+    A top is movable, is in one pair only, and is not on an object that is on itself.
     """
     single = [(t, b) for t in range(cargo) for b in range(targets) if t != b]
     nothing = (NOBODY, NOBODY)

@@ -1,8 +1,9 @@
-"""ReachNet's grounder: from a table and a sub-task to the gripper's poses.
+"""ReachNet's grounder: from a scene table and a sub-task to the gripper's poses.
 
-Poses hang on entities: what is picked, what it is put on, how the stick must lie. What
-is not determined by that, a free spot or the bearing of a drag, is the candidate of
-highest learned utility. It is scored frame by frame, with the reach that it rests on.
+Poses follow from the poses of entities: the picked object, its support, and the stick.
+The remaining choices, a free position or the bearing of a drag, are candidates, of
+which the grounder takes the one with the highest learned utility. The scores of
+decisions and of perception, and the loss of reach from demonstrations, are here, too.
 """
 
 import math
@@ -45,23 +46,24 @@ _DEMONSTRATED = 0.3
 _QUARTER_RAD = 0.5 * math.pi
 _ENOUGH_M = 0.008
 _FLAT_M = 0.01
-"""Fingers that grasp something come down over what is lower than this."""
+"""Lower objects are no obstacles for the fingers."""
 _SAFE_M = 0.008
-"""Margin inside a robot's reach, which is seen with some error."""
+"""Safety margin inside a robot's estimated reach."""
 _OUTSIDE = 1e4
-"""Cost of a metre outside."""
+"""Cost per meter outside of the reach."""
 _STICK_SHARE = 8
-"""At most one in so many frames lays the stick down; more are not looked at."""
+"""Inverse of the share of frames in the loss of the stick's place: few frames have
+one."""
 
 
 class ReachNetGrounder(nn.Module):
-    """Where exactly."""
+    """A network from sub-tasks to poses."""
 
     def __init__(self, use_reach: bool) -> None:
         """Make the weights.
 
         Args:
-            use_reach: Whether reach is known.
+            use_reach: Whether to use the estimated reach.
         """
         super().__init__()
         self.drags = DragUtility(use_reach)
@@ -76,8 +78,8 @@ class ReachNetGrounder(nn.Module):
             decision: Sub-tasks, (B, 4).
 
         Returns:
-            Two of (B, 3): x, y [m], yaw [rad]. NaN where an entity is not seen, and
-            for ``stop``.
+            Two tensors (B, 3): x, y [m], yaw [rad]. NaN for ``stop``, and if an entity
+            is not seen.
         """
         robot, primitive, pick, place = decision.clamp(min=0).unbind(-1)
         rows = torch.arange(len(table), device=robot.device)
@@ -102,7 +104,7 @@ class ReachNetGrounder(nn.Module):
     def losses(
         self, table: SceneTable, decision: Tensor, pick: Tensor, place: Tensor
     ) -> dict[str, Tensor]:
-        """Return how unlikely the demonstrated candidates are.
+        """Return the negative log-likelihood of the demonstrated candidates.
 
         Args:
             table: B scenes.
@@ -201,20 +203,20 @@ class ReachNetGrounder(nn.Module):
     def _beyond(
         self, table: SceneTable, points: Tensor, robot: Tensor, *, low: bool = False
     ) -> Tensor:
-        """Return how far points (B, ..., 2) are out of a robot's safe reach [m]."""
+        """Return distances of points (B, ..., 2) from a robot's safe reach [m]."""
         rows = torch.arange(len(table), device=robot.device)
         margin = table.margins(points, low=low)[rows, robot]
         beyond = (_SAFE_M - margin).clamp(min=0.0)
         return beyond * float(self.drags.use_reach)
 
     def _cube_grasp(self, table: SceneTable, robot: Tensor, cube: Tensor) -> Tensor:
-        """Return the grasp of what is moved, with room for the fingers."""
+        """Return the grasp of an object, (B, 3), with room for the fingers."""
         rows = torch.arange(len(table), device=robot.device)
         cube = cube.clamp(max=table.cargo - 1)
         at, traits = table.xy[rows, cube], table.traits
         turned = table.yaw[rows, cube] + traits.grasp_yaw[cube]
         natural = _bearing(table, at, robot)
-        # Things without a preferred grasp are held along the arm, or across.
+        # Objects without faces are grasped along the arm or across it.
         turn = torch.where(traits.faceted[cube], traits.turn_rad[cube], _QUARTER_RAD)
         faced = turned + turn * torch.round((natural - turned) / turn)
         first = torch.where(traits.faceted[cube], faced, natural)
@@ -250,14 +252,14 @@ class ReachNetGrounder(nn.Module):
         decision: tuple[Tensor, Tensor, Tensor],
         shared: Tensor,
     ) -> Tensor:
-        """Return where a cube is put down: turned as the arm turns, or by faces.
+        """Return the place pose of an object, (B, 3), with aligned faces if needed.
 
         Args:
             table: B scenes.
-            start: Gripper where it closes, (B, 3).
-            xy: Where it opens, (B, 2).
-            decision: Who, what, on what, (B,) each.
-            shared: Whether it is rather put where all reach, (B,).
+            start: Gripper's pose where it closes, (B, 3).
+            xy: Position where it opens [m], (B, 2).
+            decision: Numbers of robot, object and support, (B,) each.
+            shared: Whether it is placed in the shared region instead, (B,).
         """
         robot, pick, support = decision
         rows = torch.arange(len(table), device=robot.device)
@@ -265,7 +267,7 @@ class ReachNetGrounder(nn.Module):
         yaw = start[:, 2] + turn
         face = table.yaw[rows, support]
         aligned = face + _QUARTER_RAD * torch.round((yaw - face) / _QUARTER_RAD)
-        # Faces over faces; what lies on a fixed thing, or is round, lies as it comes.
+        # Align faces with those of the support; other places keep the arm's rotation.
         faceted = table.traits.faceted
         square = ~shared & faceted[support] & faceted[pick]
         yaw = torch.where(square, aligned, yaw)
@@ -273,7 +275,7 @@ class ReachNetGrounder(nn.Module):
 
 
 def _bearing(table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
-    """Return the direction in which a robot sees points (B, 2), (B,) [rad]."""
+    """Return the bearing of points (B, 2) from a robot's base, (B,) [rad]."""
     rows = torch.arange(len(table), device=robot.device)
     ray = points - table.bases[rows, robot]
     return torch.atan2(ray[:, 1], ray[:, 0])
@@ -282,7 +284,7 @@ def _bearing(table: SceneTable, points: Tensor, robot: Tensor) -> Tensor:
 def _nearest_turn(
     table: SceneTable, cube: Tensor, decision: tuple[Tensor, Tensor], yaw: Tensor
 ) -> Tensor:
-    """Return the number of the turn that a stick's yaw is nearest to, (B,).
+    """Return the index of the candidate bearing nearest to a stick's yaw, (B,).
 
     Args:
         table: B scenes.
@@ -298,7 +300,7 @@ def _nearest_turn(
 
 
 def dragged(primitive: Tensor) -> Tensor:
-    """Return which primitives drag something with the stick, bool."""
+    """Return whether primitives drag an object with the stick, bool."""
     return _among(primitive, _USE)
 
 
@@ -307,18 +309,18 @@ def _among(primitive: Tensor, numbers: tuple[int, ...]) -> Tensor:
 
 
 def _side(primitive: Tensor) -> Tensor:
-    """Return 0 for primitives that hook and 1 for those that poke."""
+    """Return 0 for ``prehook`` and ``hook``, 1 for ``prepoke`` and ``poke``."""
     return ((primitive == _PREPARE[1]) | (primitive == _USE[1])).long()
 
 
 def _mean(values: Tensor, counts: Tensor) -> Tensor:
-    """Return the mean over the frames that count; 0 if none does."""
+    """Return the mean over the frames that count; 0 without any."""
     picked = torch.where(counts, values, 0.0)
     return picked.sum() / counts.sum().clamp(min=1)
 
 
 Poses = tuple[Tensor, Tensor]
-"""Gripper where it closes and where the motion ends, (B, 3) each."""
+"""Gripper's poses where it closes and where the motion ends, (B, 3) each."""
 
 
 def score_decisions(
@@ -328,7 +330,7 @@ def score_decisions(
     labels: Labels,
     entities: EntitySet = BENCHMARK,
 ) -> dict[str, Tensor]:
-    """Return scores by name, (B,); NaN where a frame does not count.
+    """Return scores by name, (B,) each; NaN for frames without the score.
 
     Args:
         decision: Predicted decisions, (B, 4).
@@ -364,7 +366,7 @@ def score_decisions(
 def score_perception(
     table: SceneTable, truth: SceneTable, raster: Raster
 ) -> dict[str, Tensor]:
-    """Return how good is what was seen, by name, (B,).
+    """Return scores of the perception by name, (B,) each.
 
     Args:
         table: Predicted scene.
@@ -393,9 +395,9 @@ def _only(values: Tensor, counts: Tensor) -> Tensor:
 
 
 def _picked(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
-    """Return whether a gripper would grasp what it shall."""
+    """Return whether a pick pose would grasp the right object, (B,)."""
     apart: Tensor = (pose[:, :2] - labels.pick_pose[:, :2]).norm(dim=1)
-    # A cube is as well grasped by its other faces, and what is round in any way.
+    # A cube has equivalent grasps by quarter turns, a round object any grasp.
     turns = traits_of(entities, pose.device).turn_rad
     turn = turns[labels.decision[:, 2].clamp(min=0)].clamp(min=_LEAST_RAD)
     off = _off(pose[:, 2], labels.pick_pose[:, 2], turn)
@@ -403,7 +405,7 @@ def _picked(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
 
 
 def _placed(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
-    """Return whether a motion would end where it shall."""
+    """Return whether a place pose is right, (B,)."""
     _, primitive, pick, place = labels.decision.unbind(1)
     distance: Tensor = (pose[:, :2] - labels.place_pose[:, :2]).norm(dim=1)
     yaw, wanted = pose[:, 2], labels.place_pose[:, 2]
@@ -412,7 +414,7 @@ def _placed(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
     near = distance < torch.where(dragged(primitive), _LENGTH_M, limit)
     square = _off(yaw, wanted, 0.5 * math.pi) < _YAW_RAD
     ahead = _off(yaw, wanted, math.tau) < _BEARING_RAD
-    # With the stick, a place is what it acts on: its yaw is looked at below.
+    # With the stick, the place is the object it acts on; its yaw is checked below.
     known = place.clamp(0, entities.stick)
     by_faces = (pick != entities.stick) & faceted[pick.clamp(min=0)]
     by_faces = by_faces & ~shared & faceted[known]
@@ -422,24 +424,25 @@ def _placed(pose: Tensor, labels: Labels, entities: EntitySet) -> Tensor:
 
 
 def _off(yaw: Tensor, wanted: Tensor, turn: Tensor | float) -> Tensor:
-    """Return the difference of angles of something that a turn makes the same."""
+    """Return the difference of angles up to a rotational symmetry ``turn`` [rad]."""
     off = yaw - wanted
     return (off - turn * torch.round(off / turn)).abs()
 
 
 def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
-    """Return how unlikely it is, by reach alone, that these robots did it.
+    """Return the negative log-likelihood of the demonstrated robots, by reach alone.
 
-    The robot that acted reached both ends, and of the robots it was the likelier one.
-    Demonstrations do not show where else a robot reaches: the smallest ring that holds
-    all that was done is the likeliest, as if points were drawn evenly from it.
+    The acting robot reached both ends, and was more likely than the others.
+    Demonstrations do not show the limits of the reach. So points are modelled as
+    uniform in the annulus of the reach, and the most likely annulus is the smallest one
+    with all demonstrated points.
     """
     robot = labels.decision[:, 0].clamp(min=0)
     ends = torch.stack([labels.pick_pose[:, :2], labels.place_pose[:, :2]], 1)
     ends = ends.nan_to_num()
     drags = dragged(labels.decision[:, 1])[:, None]
     margins = seen.margins(ends)
-    # An object that was lifted elsewhere is released low.
+    # At the end of a drag the gripper is low.
     held = seen.margins(ends[:, 1], low=True)
     margins = torch.stack(
         [margins[..., 0], torch.where(drags, held, margins[..., 1])], -1

@@ -1,10 +1,10 @@
-"""ReachNet: sees entities and reach, then plans and grounds with both. Our own policy.
+"""ReachNet: perception of entities and reach, planning and grounding with both.
 
-Perception turns the map into a small table: where things are, and between which radii
-each robot reaches. A reader turns the sentence into the pairs that shall lie on each
-other. A planner scores all sub-tasks by who reaches what; a grounder hangs the poses on
-the entities. The last three see no pixels, and so they also learn from labels with
-noise.
+Perception converts the map to a small scene table: poses of entities, and the radii of
+each robot's reach. The reader converts the instruction to (top, bottom) pairs. The
+planner scores all sub-tasks with the estimated reach. The grounder derives poses from
+the entities' poses. These three have no pixels as input, so they also train on labels
+with noise.
 """
 
 import math
@@ -73,12 +73,12 @@ class ReachNetConfig(MapConfig):
     """Options of ReachNet."""
 
     reach: Literal["simulator", "demonstrations", "none"] = "simulator"
-    """Where reach is learned from: labels of the simulator, or who did what in the
-    demonstrations; or not at all."""
+    """Source of supervision for the reach: labels of the simulator, the robots' actions
+    in demonstrations, or none."""
     robots: Depth = 2
-    """Robots of a team."""
+    """Number of robots of a team."""
     entities: tuple[str, ...] = ()
-    """Entities that it can name; all that are known when it is made, if empty."""
+    """Names of its entities; all registered ones if empty."""
     eye: PerceptionConfig = field(default_factory=PerceptionConfig)
     """Options of perception."""
     reader: ReaderConfig = field(default_factory=ReaderConfig)
@@ -86,25 +86,25 @@ class ReachNetConfig(MapConfig):
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     """Options of the planner."""
     noise: Noise = field(default_factory=Noise)
-    """Noise of tables that are made from labels."""
+    """Noise of scene tables from labels."""
     draws: Depth = 2
-    """Tables that are made from the labels of each frame; half of them are turned."""
+    """Number of scene tables from the labels of each frame; half of them are turned."""
     perceived: bool = True
-    """Whether the planner also learns from what perception finds."""
+    """Whether the planner also trains on the results of perception."""
     failure_cost: Cost = 4.0
-    """Loss of log-probability of a sub-task for each failure in a row."""
+    """Decrease of a sub-task's log-probability for each failure in a row."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         if self.draws < 1 or self.robots < 2:
             raise InvalidConfigError(
-                f"draws={self.draws} and robots={self.robots}: one draw and two robots "
-                "are the least."
+                f"draws={self.draws} and robots={self.robots}. Valid: one or more "
+                "draws, and two or more robots."
             )
 
 
 class ReachNet(MapModel):
-    """Plans and grounds from images, joints and a sentence."""
+    """A policy that plans and grounds from maps, joints and an instruction."""
 
     selection = "decision"
     former_names: ClassVar[Mapping[str, str]] = {
@@ -163,11 +163,10 @@ class ReachNet(MapModel):
             return terms | self._table_losses(truth, found, goal, batch)
 
     def _true_radii(self, labels: Labels) -> Tensor | None:
-        """Return the true radii, where training may know them."""
+        """Return the true radii, if the option ``reach`` allows them."""
         if self.config.reach != "simulator":
             return None
-        # The simulator is needed for this alone: policies that are only used run
-        # without it.
+        # A late import, because inference does not need the simulator.
         from lemma.robots.reach import reach_of  # noqa: PLC0415
         from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
 
@@ -179,7 +178,7 @@ class ReachNet(MapModel):
         self, seen: SceneTable, known: Tensor | None, labels: Labels, batch: Batch
     ) -> Tensor:
         if self.config.reach == "none":
-            # Every weight has a gradient, which training on many GPUs asks for.
+            # Distributed training requires a gradient for every weight.
             unused = (self.planner.reach_sharpness, self.planner.reach_weight)
             return 0.0 * (seen.radii.sum() + sum(unused))
         if known is None:
@@ -195,10 +194,10 @@ class ReachNet(MapModel):
         """Return the losses of planner and grounder.
 
         Args:
-            truth: All true.
-            seen: Results of perception, for the planner to learn from it, too.
-            goal: Numbers of the goals.
-            batch: With labels.
+            truth: True scenes.
+            seen: Results of perception, on which the planner trains, too; or None.
+            goal: Goals, (B, conjuncts, 2).
+            batch: Batch with labels.
         """
         labels = batch.labels
         assert labels is not None
@@ -215,7 +214,7 @@ class ReachNet(MapModel):
             draws.append(seen)
             pasts.append(past)
             wanted.append(decision)
-            # Only frames where all is seen that the sub-task picks or acts on.
+            # Only frames in which the entities of the sub-task are seen.
             numbers = torch.arange(len(batch.entities), device=self.device)
             named = (decision[:, 2:, None] == numbers).any(1)
             counts.append((seen.present | ~named).all(1))
@@ -235,7 +234,7 @@ class ReachNet(MapModel):
         return {"plan": plan, **grounding}
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
-        """Return how good decisions are; ``decision`` is right in symbols and poses."""
+        """Return scores of decisions, (B,) each; ``decision`` is symbols and poses."""
         labels = batch.labels
         assert labels is not None
         with self.deciding():
@@ -271,7 +270,7 @@ class ReachNet(MapModel):
     def ground(
         self, inputs: Sequence[PolicyInput], subtasks: Sequence[SubTask]
     ) -> list[GroundedSubTask | None]:
-        """Return each sub-task with poses; None where an entity is not seen."""
+        """Return each sub-task with poses; None if an entity is not seen."""
         found: list[GroundedSubTask | None] = []
         robots, entities = self.config.robots, self.entities
         numbers = [numbers_of(subtask, robots, entities) for subtask in subtasks]
@@ -304,7 +303,7 @@ class ReachNet(MapModel):
         return found
 
     def understand(self, inputs: Sequence[PolicyInput]) -> list[Understanding]:
-        """Return what each sentence asks for on its table, and how likely that is."""
+        """Return the interpretation of each instruction in its scene."""
         found: list[Understanding] = []
         with self.deciding():
             for batch in self.batches(inputs):
@@ -315,7 +314,7 @@ class ReachNet(MapModel):
         return found
 
     def explain(self, inputs: Sequence[PolicyInput]) -> list[Insight]:
-        """Return what was seen, read and weighed for each decision."""
+        """Return perception, goal and most likely sub-tasks for each decision."""
         found: list[Insight] = []
         with self.deciding():
             for batch, failed in self._with_failures(inputs):
@@ -335,7 +334,7 @@ class ReachNet(MapModel):
     def _with_failures(
         self, inputs: Sequence[PolicyInput]
     ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
-        """Yield batches, and what has failed since something last succeeded."""
+        """Yield batches, with the sub-tasks that failed since the last success."""
         failed = []
         for policy_input in inputs:
             outcomes = [step.outcome for step in reversed(policy_input.past)]
@@ -348,7 +347,7 @@ class ReachNet(MapModel):
     def _decide(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
     ) -> tuple[SceneTable, Tensor, Tensor]:
-        """Return what is seen, the likeliest sub-tasks, (B, 4), and reasons, (B,)."""
+        """Return scenes, the most likely sub-tasks, (B, 4), and reasons, (B,)."""
         table, _, scores, reasons = self._weigh(batch, failed)
         robots = self.config.robots
         return table, decision_of(scores.argmax(-1), robots, batch.entities), reasons
@@ -356,12 +355,12 @@ class ReachNet(MapModel):
     def _weigh(
         self, batch: Batch, failed: Sequence[Sequence[SubTask]]
     ) -> tuple[SceneTable, Tensor, Tensor, Tensor]:
-        """Return what is seen and read, how good every sub-task is, and refusals.
+        """Return scenes, goals, scores of all sub-tasks, and refusals.
 
         Returns:
-            The scene; the goals; scores, (B, N); and the number of the reason why a
-            sentence is refused, (B,), -1 if it is not. Then there is nothing but to
-            stop.
+            The scenes; the goals, (B, conjuncts, 2); scores, (B, N); and the index of
+            the reason for refusal, (B,), -1 for an order. After a refusal only ``stop``
+            is possible.
         """
         table = self.eye.see(batch)
         goal, reasons = self.reader.read(batch.instructions, table.present)
@@ -373,7 +372,7 @@ class ReachNet(MapModel):
                 numbers = torch.tensor([numbers_of(subtask, robots, batch.entities)])
                 number = int(number_of(numbers, robots, batch.entities))
                 scores[row, number] -= self.config.failure_cost
-        # To stop is the last of all sub-tasks.
+        # ``stop`` is the last sub-task.
         scores[reasons >= 0, :-1] -= _NEVER
         return table, goal, scores, reasons
 

@@ -1,8 +1,8 @@
-"""ReachNet's perception: from a top-down map to where everything is.
+"""ReachNet's perception: from a top-down map to poses of entities and robots.
 
-A U-Net marks the cell of each entity, of the far end of the stick and of each robot's
-base, says where in the cell it is, and how cubes are turned. One cell more in each of
-those choices stands for "not here".
+A U-Net predicts the cell of each entity, of the far end of the stick and of each
+robot's base, the offset in the cell, and the yaw of cubes. Each softmax over cells has
+one more class for "not present".
 """
 
 import math
@@ -32,13 +32,13 @@ from lemma.policies.models.reachnet.scene_table import (
 from lemma.scene.raster import RASTER
 
 STRIDE = 4
-"""Cells of the map along each side of a cell that is marked."""
+"""Cells of the map along each side of an output cell."""
 
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
 _REACH_RADII_M = ((0.05, 0.35), (0.4, 1.8), (0.0, 0.2))
-"""Bounds of the radii of reach: the inner one, the outer one, and how much farther
-things are held low [m]."""
+"""Bounds of the radii of reach [m]: the inner one, the outer one, and the increase of
+the outer one for low objects."""
 _PROFILE = 3
 _PROFILE_WIDTH, _PROFILE_KERNEL = 16, 7
 _TABLE_M = 0.05
@@ -53,26 +53,30 @@ class PerceptionConfig:
     """Options of perception."""
 
     widths: Widths = (64, 96, 160, 224)
-    """Channels at a quarter of the map's resolution, an eighth, and so on."""
+    """Channels at 1/4, 1/8 ... of the map's resolution."""
     blocks: Depth = 2
-    """Residual blocks at each resolution on the way down."""
+    """Residual blocks at each resolution of the encoder."""
     ring_width: Width = 64
-    """Between what is seen of a robot and its reach."""
+    """Hidden width of the network from features of a robot to its reach."""
     joint_dropout: Share = 0.3
-    """Share of robots whose joints are not given in training, so that reach is also
-    seen."""
+    """Share of robots without joint angles in training, so that reach is also estimated
+    from the image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Output of the U-Net for B maps; H x W cells, N points: entities, stick's end."""
+    """Output of the U-Net for B maps of H x W cells, with R robots and N points.
+
+    The points are the entities and the far end of the stick.
+    """
 
     points: Tensor
-    """Log-probability of each cell, the last one for none, (B, N + R, H * W + 1)."""
+    """Log-probability of each cell, the last one for "not present",
+    (B, N + R, H * W + 1)."""
     offsets: Tensor
-    """Where in the cell, in cells, (B, N + R, 2, H * W)."""
+    """Offsets in the cell, in sides of a cell, (B, N + R, 2, H * W)."""
     yaw: Tensor
-    """Cosines and sines of yaws times each of the folds, (B, folds, 2, H * W)."""
+    """Cosine and sine of the yaw times each order of symmetry, (B, folds, 2, H * W)."""
     features: Tensor
     """(B, channels, H * W)."""
     shape: tuple[int, int]
@@ -80,7 +84,7 @@ class Marks:
 
 
 class _Trunk(Network):
-    """The U-Net: a picture to features of its cells, and the coarsest features."""
+    """The U-Net, from an image to features of its cells and the coarsest features."""
 
     def __init__(self, config: PerceptionConfig) -> None:
         super().__init__()
@@ -114,7 +118,7 @@ class _Trunk(Network):
 
 
 class Perception(nn.Module):
-    """Sees."""
+    """A network from maps to scene tables."""
 
     def __init__(
         self,
@@ -126,8 +130,8 @@ class Perception(nn.Module):
 
         Args:
             config: Options.
-            robots: Robots of a team.
-            entities: Entities that it marks.
+            robots: Number of robots of a team.
+            entities: Entities, in the order of their numbers.
         """
         super().__init__()
         self.config, self.robots, self.entities = config, robots, entities
@@ -136,7 +140,7 @@ class Perception(nn.Module):
         self.trunk = _Trunk(config)
         marked = len(entities) + 1 + robots
         self.mark = nn.Conv2d(first, marked, 1)
-        # As likely as all cells of a usual map together.
+        # Initially as likely as all cells of a usual map together.
         self.nowhere = nn.Parameter(torch.full((marked,), _CELLS))
         self.offset = nn.Conv2d(first, 2 * marked, 1)
         self.turn = nn.Conv2d(first, 2 * len(self.folds), 1)
@@ -153,7 +157,7 @@ class Perception(nn.Module):
         )
 
     def forward(self, batch: Batch) -> tuple[Marks, Tensor]:
-        """Return what is marked, and the coarsest features, (B, channels, h, w).
+        """Return the marks, and the coarsest features, (B, channels, h, w).
 
         Args:
             batch: Maps whose sides are multiples of ``STRIDE``.
@@ -179,9 +183,9 @@ class Perception(nn.Module):
         """Return the radii of each robot's reach, (B, R, 3) [m].
 
         Args:
-            coarse: The coarsest features.
-            batch: With the robots' joints.
-            bases: Where the robots are, (B, R, 2) [m].
+            coarse: The coarsest features, (B, channels, h, w).
+            batch: Batch with the robots' joints.
+            bases: World positions of the bases, (B, R, 2) [m].
         """
         raster = batch.raster
         half = constant((raster.columns, -raster.rows), bases.device) * (
@@ -200,7 +204,7 @@ class Perception(nn.Module):
         return torch.stack([inner, outer, outer + more], -1)
 
     def table_seen(self, batch: Batch) -> Tensor:
-        """Return logits of there being a table along x, (B, COLUMNS)."""
+        """Return logits of a table at positions along x, (B, COLUMNS)."""
         on_it = batch.coverage & (batch.height_m.abs() < _TABLE_M)
         known = [batch.coverage, on_it, batch.coverage & ~on_it]
         profile = torch.stack([cells.float().mean(1) for cells in known], 1)
@@ -208,13 +212,13 @@ class Perception(nn.Module):
         return logits.squeeze(1).float()
 
     def see(self, batch: Batch) -> SceneTable:
-        """Return what is on the table, found in a batch."""
+        """Return the scene tables of a batch."""
         marks, coarse = self(batch)
         with torch.autocast(coarse.device.type, enabled=False):
             return self.table(marks, coarse, batch)
 
     def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
-        """Return what is on the table."""
+        """Return the scene tables of marks and coarse features."""
         points, present = _read_points(marks, batch)
         count, cargo = len(self.entities), self.entities.cargo
         present, bases = present[:, :count], points[:, count + 1 :]
@@ -239,7 +243,7 @@ class Perception(nn.Module):
         )
 
     def _turns(self, marks: Marks, cell: Tensor) -> Tensor:
-        """Return cosine and sine of the folded yaw of each entity, (B, E, 2).
+        """Return cosine and sine of each entity's yaw up to symmetry, (B, E, 2).
 
         Args:
             marks: Predicted marks.
@@ -254,7 +258,7 @@ class Perception(nn.Module):
     def losses(
         self, marks: Marks, table: SceneTable, batch: Batch
     ) -> dict[str, Tensor]:
-        """Return how far marks are from the truth.
+        """Return the losses of marks by name.
 
         Args:
             marks: Predicted marks.
@@ -298,7 +302,7 @@ class Perception(nn.Module):
     def _offset_loss(
         self, marks: Marks, xy: Tensor, there: Tensor, batch: Batch
     ) -> Tensor:
-        """Return the error of positions, also from the cells around the right one."""
+        """Return the loss of offsets, in the right cell and the cells around it."""
         rows, columns = marks.shape
         place = _cells(batch).continuous(xy)
         corner = place.floor()
@@ -318,13 +322,13 @@ class Perception(nn.Module):
 def reach_loss(
     table: SceneTable, radii: Tensor, bases: Tensor, points: Tensor
 ) -> Tensor:
-    """Return how wrong reach maps are at points of the table.
+    """Return the loss of the estimated reach at points of the table.
 
     Args:
-        table: With the radii that were seen.
+        table: Scenes with the estimated radii.
         radii: The true radii, (B, R, 3) [m].
         bases: The true bases, (B, R, 2) [m].
-        points: (B, N, 2) [m].
+        points: World positions, (B, N, 2) [m].
     """
     near = (points[:, None] - bases[:, :, None]).norm(dim=-1).unsqueeze(2)
     true, seen = (
@@ -336,7 +340,7 @@ def reach_loss(
 
 
 def _image(batch: Batch) -> Tensor:
-    """Return a map as what the first convolution sees, (B, _INPUTS, H, W)."""
+    """Return the input of the first convolution, (B, _INPUTS, H, W)."""
     parts = [
         batch.rgb.permute(0, 3, 1, 2).float() / 255.0,
         (batch.height_m / _HEIGHT_M).clamp(-1.0, 3.0)[:, None],
@@ -354,7 +358,7 @@ def _cells(batch: Batch) -> Cells:
 
 
 def _read_points(marks: Marks, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the likeliest positions (B, N + R, 2) [m], and what is rather there."""
+    """Return the most likely positions, (B, N + R, 2) [m], and whether present."""
     columns = marks.shape[1]
     cell = marks.points[..., :-1].argmax(2)
     index = cell[:, :, None, None].expand(-1, -1, 2, 1)
@@ -386,7 +390,7 @@ def _top(batch: Batch, xy: Tensor) -> Tensor:
 
 
 def _folds(entities: EntitySet) -> tuple[int, ...]:
-    """Return in how many ways each thing that is moved looks the same; 0 for any."""
+    """Return the order of rotational symmetry of movable entities; 0 for full."""
     return tuple(
         round(math.tau / kind.grasp.turn_rad)
         if kind.cargo and kind.grasp and kind.grasp.turn_rad

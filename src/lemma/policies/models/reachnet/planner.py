@@ -1,9 +1,9 @@
-"""ReachNet's planner: from a table, a goal and the past to the next sub-task.
+"""ReachNet's planner: from a scene table, a goal and the past to the next sub-task.
 
-It scores every sub-task that there is, for every robot. Colors are no input: entities
-differ by their kind, their place and their role in the goal, so that what is learned of
-one color holds for all. A score is a learned function of the context plus, as in the
-paper's utility, the logarithm of how likely the robot reaches what it needs.
+It scores all possible sub-tasks of all robots. Colors are no input: entities differ by
+their kind, their position and their role in the goal, so training on one color
+generalises to all. A score is a learned function of the context plus, as in the paper's
+utility, the log-probability that the robot reaches all that it needs.
 """
 
 import math
@@ -28,7 +28,7 @@ _RECENT = 2
 _DISTANCES_M = (0.0, 0.03, 0.07, 0.12, 0.25, 0.5, 1.0)
 _SUPPORTS_M = 0.035
 _UNIT_M = 0.05
-"""Unit of heights and radii of things [m]."""
+"""Unit of heights and radii of entities [m]."""
 _KIND = 8
 
 ROBOT_FEATURES = 9
@@ -48,22 +48,22 @@ class PlannerConfig:
     heads: Depth = 4
     """Number of heads of the attention."""
     dropout: Share = 0.05
-    """Share of values left out in training."""
+    """Probability of dropout in training."""
     past_dropout: Share = 0.5
-    """Share of frames whose past is left out in training: what lies on the table says
-    nearly all, and a policy that trusts its past does not see when it failed."""
+    """Share of training frames without the past, so that the planner relies on the
+    scene and recognises failures."""
 
 
 class ReachNetPlanner(nn.Module):
-    """Scores sub-tasks."""
+    """A network that scores sub-tasks."""
 
     def __init__(self, config: PlannerConfig, robots: int, use_reach: bool) -> None:
         """Make the weights.
 
         Args:
             config: Options.
-            robots: Robots of a team.
-            use_reach: Whether reach is known.
+            robots: Number of robots of a team.
+            use_reach: Whether to use the estimated reach.
         """
         super().__init__()
         self.config, self.robots, self.use_reach = config, robots, use_reach
@@ -109,7 +109,7 @@ class ReachNetPlanner(nn.Module):
             table: B scenes.
             goal: (B, conjuncts, 2); -1 for none.
             past: Sub-tasks done before, oldest first, (B, P, 4); -1 for none.
-            drags: Computes which drags the stick can do.
+            drags: Computes the utility of drags.
         """
         with torch.no_grad():
             values = drags.values(drags.drags(table))
@@ -149,7 +149,7 @@ class ReachNetPlanner(nn.Module):
         return torch.where(forget < self.config.past_dropout, NOBODY, past)
 
     def _bias(self, near: Tensor, present: Tensor, length: int) -> Tensor:
-        """Return what is added to the attention, (B, heads, L, L)."""
+        """Return the attention bias, (B, heads, L, L)."""
         pairs = self.relation(near).permute(0, 3, 1, 2)
         more = length - pairs.shape[-1]
         bias = F.pad(pairs, (0, more, 0, more))
@@ -188,10 +188,10 @@ class ReachNetPlanner(nn.Module):
     def _reachable(
         self, table: SceneTable, moves: Tensor, tools: Tensor, hands: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Exclude sub-tasks that are impossible for every model.
+        """Exclude sub-tasks that are always impossible.
 
-        Things that are not there or that no gripper holds are not moved, nor onto
-        things that bear nothing.
+        Absent entities and those that no gripper can hold are not moved, and nothing is
+        placed on an entity that supports nothing.
         """
         cargo, stick, traits = table.cargo, table.stick, table.traits
         there = torch.where(table.present, 0.0, _ABSENT)
@@ -224,10 +224,11 @@ def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
 def _all_subtasks(
     robots: int, entities: EntitySet, device: torch.device
 ) -> tuple[Tensor, Tensor]:
-    """Return all sub-tasks, (N, 4), and their numbers by robot, primitive and so on.
+    """Return all sub-tasks, (N, 4), and their indices by the four numbers.
 
-    Robots move cargo onto things and to where all reach, use the stick on cargo, lay
-    the stick down there; and ``stop``, with the number of all that makes no sense.
+    They are: moving cargo onto entities and to the shared region; moving the stick to
+    the shared region; using the stick on cargo; and ``stop``, whose index invalid
+    combinations have, too.
     """
     cargo, stick, shared = range(entities.cargo), entities.stick, entities.shared
     ends = [(0, pick, place) for pick in cargo for place in (*range(stick), shared)]
@@ -245,39 +246,38 @@ def _all_subtasks(
 
 
 def number_of(decision: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
-    """Return the number of sub-tasks among all, (B,).
+    """Return the indices of sub-tasks among all, (B,).
 
     Args:
         decision: Robot, primitive, pick, place, (B, 4).
-        robots: Robots of a team.
+        robots: Number of robots of a team.
         entities: Entities, in the order of their numbers.
     """
     numbers = _all_subtasks(robots, entities, decision.device)[1]
-    # -1, nobody, is the last robot and thing, which are never with ``stop``.
+    # As an index -1 is the last robot and entity, which never have ``stop``.
     return numbers[decision.unbind(-1)]
 
 
 def decision_of(number: Tensor, robots: int, entities: EntitySet = BENCHMARK) -> Tensor:
-    """Return the sub-tasks of numbers, (B, 4): the inverse of :func:`number_of`."""
+    """Return the sub-tasks of indices, (B, 4): the inverse of :func:`number_of`."""
     return _all_subtasks(robots, entities, number.device)[0][number]
 
 
 def numbers_of(
     subtask: SubTask, robots: int, entities: EntitySet = BENCHMARK
 ) -> list[int]:
-    """Return a sub-task as numbers; those of ``stop`` if it makes no sense."""
+    """Return a sub-task as four numbers; those of ``stop`` if it is invalid."""
     nothing = [NOBODY, STOP, NOBODY, NOBODY]
     try:
         numbers = decision_numbers(subtask.to_dict(), entities)
     except ValueError:
         return nothing
     known = _all_subtasks(robots, entities, torch.device("cpu"))[0].tolist()
-    # A thing is not put on itself.
     return numbers if numbers in known and numbers[2] != numbers[3] else nothing
 
 
 def entity_feature_count(robots: int) -> int:
-    """Return how many features an entity has."""
+    """Return the number of features of an entity."""
     goal_state = 2 * CONJUNCTS * 5
     drags = robots * len(SIGNS) * 3
     state = 7 + 3 * robots + 2 * CONJUNCTS + goal_state + 8 + drags + 7 * _RECENT
@@ -285,7 +285,7 @@ def entity_feature_count(robots: int) -> int:
 
 
 def reach_features(table: SceneTable, use_reach: bool) -> Tensor:
-    """Return how far inside each robot's reach each entity is, (B, E, 3 R)."""
+    """Return features of each entity's margin in each robot's reach, (B, E, 3 R)."""
     points = places(table)
     margins = (
         table.margins(points) if use_reach else torch.zeros_like(table.margins(points))
@@ -303,7 +303,7 @@ def reach_features(table: SceneTable, use_reach: bool) -> Tensor:
 
 
 def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
-    """Return what is known of each robot, (B, R, ROBOT_FEATURES)."""
+    """Return the features of each robot, (B, R, ROBOT_FEATURES)."""
     radii = table.radii if use_reach else torch.zeros_like(table.radii)
     centre = torch.zeros(len(table), 1, 2, device=radii.device)
     shared = table.margins(centre).squeeze(-1)
@@ -325,12 +325,12 @@ def robot_features(table: SceneTable, use_reach: bool) -> Tensor:
 
 
 def places(table: SceneTable) -> Tensor:
-    """Return where each entity would be grasped, (B, E, 2) [m]."""
+    """Return the grasp position of each entity, (B, E, 2) [m]."""
     return torch.cat([table.xy[:, : table.stick], table.grasp[:, None]], 1)
 
 
 def kinds(table: SceneTable) -> Tensor:
-    """Return what each entity is, by its kind's record, and where, (B, E, 15)."""
+    """Return properties of each entity's kind, and its pose, (B, E, 15)."""
     traits, count = table.traits, len(table.entities)
     numbers = torch.arange(count, device=table.xy.device)
     is_cargo, is_stick = numbers < table.cargo, numbers == table.stick
@@ -348,9 +348,9 @@ def kinds(table: SceneTable) -> Tensor:
 
 
 def raised(table: SceneTable) -> Tensor:
-    """Return how high above the table what is moved lies, (B, E) [m]; 0 for the rest.
+    """Return the height of each movable entity's support, (B, E) [m]; 0 for the rest.
 
-    The height of its top less its own is that of what it lies on.
+    It is the height of the entity's top minus the entity's own height.
     """
     numbers = torch.arange(len(table.entities), device=table.xy.device)
     bottom = table.top - table.traits.height_m
@@ -369,7 +369,7 @@ def roles(goal: Tensor, count: int) -> Tensor:
 
 
 def goal_state(table: SceneTable, goal: Tensor) -> Tensor:
-    """Return where each role's partner is, (B, E, 2 * conjuncts * 5)."""
+    """Return the relation to each role's partner, (B, E, 2 * conjuncts * 5)."""
     index = goal.clamp(min=0)
     named = goal != NOBODY
     rows = torch.arange(len(table), device=goal.device)[:, None, None]
@@ -394,11 +394,11 @@ def goal_state(table: SceneTable, goal: Tensor) -> Tensor:
 
 
 def stick_state(table: SceneTable, ready: Tensor) -> Tensor:
-    """Return how the stick lies to each thing that is moved, (B, E, 8).
+    """Return the stick's pose relative to each movable entity, (B, E, 8).
 
     Args:
         table: B scenes.
-        ready: Where each entity is, seen from the gripper, when the stick lies ready,
+        ready: Position of each entity in the gripper's frame when the stick lies ready,
             (S, E, 2) [m].
     """
     yaw = table.yaw[:, table.stick, None]
@@ -417,7 +417,7 @@ def stick_state(table: SceneTable, ready: Tensor) -> Tensor:
 
 
 def drag_features(values: Tensor, count: int) -> Tensor:
-    """Return what the stick can do with each entity, (B, E, R * S * 3).
+    """Return features of the best drag of each entity, (B, E, R * S * 3).
 
     Args:
         values: Values for each moved object, (B, R, S, C, 3).
@@ -428,7 +428,7 @@ def drag_features(values: Tensor, count: int) -> Tensor:
 
 
 def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
-    """Return the same for every sub-task with the stick, (B, 4, C, R, 7)."""
+    """Return features of every sub-task with the stick, (B, 4, C, R, 7)."""
     per = values.permute(0, 2, 3, 1, 4)[:, constant(_SIDE_OF, values.device)]
     margins = table.detached().margins(table.grasp.detach()[:, None]).squeeze(-1)
     if not use_reach:
@@ -439,7 +439,7 @@ def tool_features(values: Tensor, table: SceneTable, use_reach: bool) -> Tensor:
 
 
 def nearness(table: SceneTable) -> Tensor:
-    """Return how entities lie to one another, (B, E, E, RELATIONS)."""
+    """Return the spatial relations of entities, (B, E, E, RELATIONS)."""
     places = table.xy.detach()
     both = table.present[:, :, None] & table.present[:, None]
     offset = places[:, :, None] - places[:, None]
@@ -460,7 +460,7 @@ def nearness(table: SceneTable) -> Tensor:
 
 
 def recent(past: Tensor, count_of_entities: int) -> Tensor:
-    """Return what was last done with each entity, (B, E, 7 * _RECENT)."""
+    """Return the most recent sub-tasks with each entity, (B, E, 7 * _RECENT)."""
     count = (past[..., 1] != NOBODY).sum(1)
     found = []
     for back in range(1, _RECENT + 1):
@@ -477,7 +477,7 @@ def recent(past: Tensor, count_of_entities: int) -> Tensor:
 
 
 def last(past: Tensor, robots: int) -> Tensor:
-    """Return the last primitive and its robot, (B, primitives + robots)."""
+    """Return the last primitive and its robot, one-hot, (B, primitives + robots)."""
     count = (past[..., 1] != NOBODY).sum(1)
     step = past[torch.arange(len(past), device=past.device), (count - 1).clamp(min=0)]
     done = (count > 0).float()[:, None]

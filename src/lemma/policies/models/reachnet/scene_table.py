@@ -1,8 +1,8 @@
-"""ReachNet's tables: what is known of a scene, as a few small vectors.
+"""ReachNet's scene tables: the state of a scene as a few small vectors.
 
-Everything behind perception works on tables. They come from images, or in training
-also from the labels, with noise: then the planner sees many variants of every frame for
-the price of a few vectors. The stick is axes around which it lies, as its record says.
+All modules after perception work on scene tables. They come from images or, in
+training, also from labels with noise, so the planner trains on many cheap variants of
+every frame. The stick is represented by the axes of its parts.
 """
 
 import math
@@ -22,26 +22,27 @@ from lemma.scene.objects.stick import STICK_KIND
 from lemma.scene.raster import RASTER, Raster
 
 COLUMNS = 128
-"""Number of columns of a table's :attr:`SceneTable.ground`."""
+"""Number of columns of :attr:`SceneTable.ground`."""
 CONJUNCTS = 2
 """Largest number of (top, bottom) pairs of a goal."""
 FAR_M = 10.0
-"""Where things are that are not there."""
+"""Coordinate of absent entities [m]."""
 
 _ABOVE_M = 0.005
 _LEAST_RAD = 1e-3
 _GRASP = STICK_KIND.grasp
 assert _GRASP is not None
 GRASP_M = _GRASP.at.x
-"""Where the stick is grasped, along its own x axis from its frame [m]."""
+"""Position of the stick's grasp along its own x axis [m]."""
 HALF_M = STICK_KIND.disc_m
-"""From its axes to its sides [m]."""
+"""Distance of the stick's axes from its sides [m]."""
 
 
 def _axis(part: Part) -> tuple[float, float, float, float]:
-    """Return the ends of the axis of a part that lies, seen from the gripper.
+    """Return the ends of the axis of a lying part, in the gripper's frame [m].
 
-    It runs from face to face, so that what is kept clear of it is clear of the ends.
+    The axis extends to the faces at both ends, so that clearance from it is clearance
+    from the part.
     """
     assert _GRASP is not None
     half = (0.0, 0.0)
@@ -54,47 +55,47 @@ def _axis(part: Part) -> tuple[float, float, float, float]:
 
 
 AXES_M = tuple(map(_axis, STICK_KIND.parts))
-"""Ends u, v, u, v of each part's axis, seen from the gripper that holds the stick
+"""Ends u, v, u, v of each part's axis, in the frame of the gripper that holds the stick
 [m]."""
 _BAR = max(AXES_M, key=lambda axis: axis[0] + axis[2])
 BAR_M = (0.5 * (_BAR[0] + _BAR[2]), 0.5 * (_BAR[1] + _BAR[3]))
-"""Middle of the part that is farthest out, with which things are moved [m]."""
+"""Center of the outermost part, which drags objects, in the gripper's frame [m]."""
 FAR_END_M = max(0.0, *(max(u, v) for u, _, v, _ in AXES_M)) + GRASP_M
-"""A point on the stick's x axis, as far out as it goes, seen from its frame: it shows
-how the stick lies [m]."""
+"""Position of the stick's far end on its x axis [m]; perception predicts it to get the
+stick's yaw."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTable:
-    """State of B scenes with R robots; tensors on one device, float32.
+    """State of B scenes with R robots in the world frame; float32 on one device.
 
-    Of E entities the first C are there to be moved, and the last is the stick.
+    Of E entities the first C are movable, and the last is the stick.
     """
 
     present: Tensor
-    """Which entities are seen, (B, E) bool. Covered ones are not."""
+    """Whether entities are seen, (B, E) bool; covered ones are not."""
     xy: Tensor
-    """Positions [m], (B, E, 2); ``FAR_M`` where nothing is seen."""
+    """Positions [m], (B, E, 2); ``FAR_M`` for entities that are not seen."""
     yaw: Tensor
-    """(B, E) [rad]: of what is moved, :func:`folded`; the stick's; else 0."""
+    """Yaws [rad], (B, E): :func:`folded` for movable entities; 0 for fixed ones."""
     top: Tensor
-    """Height of the upper face of what is moved [m], (B, E); 0 for the rest."""
+    """Height of the top of movable entities [m], (B, E); 0 for the rest."""
     bases: Tensor
     """Positions of the robots' bases [m], (B, R, 2)."""
     radii: Tensor
-    """Radii between which each robot works, and up to which it holds things low, as at
-    the end of a drag [m], (B, R, 3): inner, outer, low."""
+    """Radii of each robot's reach [m], (B, R, 3): inner, outer, and outer for an object
+    that is held low, as at the end of a drag."""
     ground: Tensor
-    """Whether there is a table, 0 to 1, along x from one edge of the map to the other,
-    (B, COLUMNS): it may have a gap, as deep as the table."""
+    """Whether there is a table, 0 to 1, at positions along x from one edge of the map
+    to the other, (B, COLUMNS). The table may have a gap over its whole depth."""
     half_x_m: float = RASTER.size_m[0] / 2
-    """From the middle of the map to these edges."""
+    """Distance from the center of the map to these edges [m]."""
     entities: EntitySet = BENCHMARK
-    """Entities with a number."""
+    """Entities, in the order of their numbers."""
 
     @property
     def cargo(self) -> int:
-        """C: how many entities are there to be moved; they come first."""
+        """C: number of movable entities; they come first."""
         return self.entities.cargo
 
     @property
@@ -113,17 +114,17 @@ class SceneTable:
 
     @property
     def grasp(self) -> Tensor:
-        """Where the stick is grasped [m], (B, 2)."""
+        """Grasp position of the stick [m], (B, 2)."""
         yaw = self.yaw[:, self.stick]
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
         return self.xy[:, self.stick] + GRASP_M * along
 
     def margins(self, points: Tensor, *, low: bool = False) -> Tensor:
-        """Return how far inside each robot's reach points are [m], (B, R, ...).
+        """Return the margins of points inside each robot's reach [m], (B, R, ...).
 
         Args:
-            points: (B, ..., 2) [m].
-            low: Whether it is enough to hold something low there.
+            points: World positions, (B, ..., 2) [m].
+            low: Whether to use the outer radius for low objects.
         """
         extra = (1,) * (points.dim() - 2)
         bases = self.bases.view(len(self), -1, *extra, 2)
@@ -144,7 +145,7 @@ class SceneTable:
         return (near + rest * (far - near)).view_as(x)
 
     def seen(self, row: int) -> tuple[tuple[SeenObject, ...], tuple[SeenRobot, ...]]:
-        """Return what is known of one scene as plain data."""
+        """Return one scene as plain data."""
         named = zip(self.entities.places, self.xy[row].tolist(), strict=False)
         there = self.present[row].tolist()
         objects = (
@@ -161,12 +162,12 @@ class SceneTable:
         return replace(self, **{name: getattr(self, name)[index] for name in _TENSORS})
 
     def detached(self) -> Self:
-        """Return the same without gradients."""
+        """Return the scenes without gradients."""
         return replace(self, **{n: getattr(self, n).detach() for n in _TENSORS})
 
     @classmethod
     def joined(cls, tables: "list[SceneTable]") -> "SceneTable":
-        """Return all scenes of some tables."""
+        """Concatenate scene tables."""
         parts: dict[str, Any] = {
             name: torch.cat([getattr(t, name) for t in tables]) for name in _TENSORS
         }
@@ -177,11 +178,11 @@ _TENSORS = tuple(f.name for f in fields(SceneTable) if f.type is Tensor)
 
 
 def ground_of(gap_m: Tensor, half_x_m: float) -> Tensor:
-    """Return where there is a table, (B, COLUMNS).
+    """Return whether there is a table at positions along x, (B, COLUMNS).
 
     Args:
-        gap_m: World x from and to which there is none, (B, 2) [m]; NaN if it is whole.
-        half_x_m: From the middle of the map to its edges.
+        gap_m: World x of both edges of the gap, (B, 2) [m]; NaN without a gap.
+        half_x_m: Distance from the center of the map to its edges [m].
     """
     x = torch.linspace(-half_x_m, half_x_m, COLUMNS, device=gap_m.device)
     first, last = gap_m.unsqueeze(1).unbind(-1)
@@ -195,11 +196,11 @@ def yaw_of(quaternion: Tensor) -> Tensor:
 
 
 def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
-    """Return yaws as near to zero as turns that change nothing bring them.
+    """Return the equivalent yaws nearest to zero under rotational symmetry.
 
     Args:
         yaw: [rad], (..., N).
-        turn_rad: The least such turn of each, (N,) [rad]; 0 where any is one.
+        turn_rad: Smallest symmetric turn of each, (N,) [rad]; 0 for full symmetry.
     """
     turn = torch.as_tensor(turn_rad, device=yaw.device)
     near = yaw - turn * torch.round(yaw / turn.clamp(min=_LEAST_RAD))
@@ -209,13 +210,13 @@ def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
 def true_table(
     labels: Labels, radii: Tensor, raster: Raster, entities: EntitySet = BENCHMARK
 ) -> SceneTable:
-    """Return the table of perfect perception.
+    """Return the scene tables of perfect perception.
 
     Args:
-        labels: Where everything is.
+        labels: Labels with the true poses.
         radii: Radii of reach, (B, R, 3) [m].
         raster: Raster of the maps.
-        entities: Entities whose numbers the labels have.
+        entities: Entities, in the order of their numbers.
     """
     traits = traits_of(entities, labels.objects.device)
     position, there = labels.objects[..., :3], labels.objects[..., 0].isfinite()
@@ -243,7 +244,7 @@ def true_table(
 
 
 def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
-    """Return which entities lie under one that can be moved, (B, E)."""
+    """Return whether a movable entity covers each entity, (B, E) bool."""
     upper = xyz[:, :cargo]
     apart = (xyz[:, :, None, :2] - upper[:, None, :, :2]).norm(dim=-1)
     bottom_m = (top_m - traits.height_m)[:, :cargo]
@@ -254,27 +255,27 @@ def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Noise:
-    """How far tables in training differ from the truth, as perception errs."""
+    """Noise of scene tables from labels, which models the errors of perception."""
 
     position_m: Deviation = 0.003
-    """Standard deviation of positions."""
+    """Standard deviation of positions [m]."""
     yaw_rad: Deviation = 0.02
-    """Standard deviation of yaws."""
+    """Standard deviation of yaws [rad]."""
     height_m: Deviation = 0.003
-    """Standard deviation of heights."""
+    """Standard deviation of heights [m]."""
     base_m: Deviation = 0.004
-    """Standard deviation of bases and of radii of reach."""
+    """Standard deviation of bases and of radii of reach [m]."""
     unseen: Share = 0.01
-    """Share of entities that the sub-task does not need and that are missed."""
+    """Share of entities to remove, among those that the sub-task does not need."""
 
 
 def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
-    """Return a table with the errors of perception.
+    """Return scene tables with simulated errors of perception.
 
     Args:
-        table: The truth.
-        noise: How much it errs.
-        needed: Entities that are never missed, (B, E) bool.
+        table: True scenes.
+        noise: Size of the errors.
+        needed: Entities that are never removed, (B, E) bool.
     """
 
     def jitter(values: Tensor, deviation: float) -> Tensor:
@@ -295,7 +296,7 @@ def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
 
 
 def turned(table: SceneTable) -> SceneTable:
-    """Return the table turned by half a turn, with the robots in reverse order.
+    """Return scenes turned by half a turn, with the robots in reverse order.
 
     Sub-tasks turn with :func:`turned_numbers`.
     """
@@ -319,7 +320,7 @@ def turned_numbers(decisions: Tensor, robots: int) -> Tensor:
 
 
 def needed_entities(decision: Tensor, goal: Tensor, count: int) -> Tensor:
-    """Return the entities that sub-tasks and goals name, and the stick, (B, E) bool.
+    """Return the mask of the entities in sub-tasks and goals and the stick, (B, E).
 
     Args:
         decision: (B, 4) int64.
@@ -338,9 +339,9 @@ def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:
     """Return the distance of points from the axes of lying sticks [m], (...).
 
     Args:
-        grasp: Where the stick is grasped, (..., 2) [m].
-        yaw: Yaw of the stick, (...) [rad].
-        points: (..., 2) [m].
+        grasp: Grasp positions of the sticks, (..., 2) [m].
+        yaw: Yaws of the sticks, (...) [rad].
+        points: World positions, (..., 2) [m].
     """
     x, y = (points - grasp).unbind(-1)
     u, v = x * yaw.cos() + y * yaw.sin(), y * yaw.cos() - x * yaw.sin()
@@ -348,16 +349,16 @@ def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:
 
 
 def swept_distance(u: Tensor, v: Tensor, back: Tensor, forth: Tensor) -> Tensor:
-    """Return the distance of points from all that a stick's axes pass over [m].
+    """Return the distance of points from the area swept by a stick's axes [m].
 
-    Axes that run along the stick or across it, as those of the benchmark's do, are
-    followed exactly; of others, the rectangle around them.
+    It is exact for axes along the stick or across it, as in the benchmark's stick; for
+    others it is the distance from the bounding rectangle.
 
     Args:
-        u: Coordinate of the points, ahead of the gripper when the motion begins [m].
-        v: To its left [m].
-        back: How far the stick moves back, at most 0 [m].
-        forth: How far it moves ahead, at least 0 [m].
+        u: Coordinate of the points ahead of the gripper at the start of the motion [m].
+        v: Coordinate of the points to its left [m].
+        back: Motion of the stick backward, at most 0 [m].
+        forth: Motion of the stick ahead, at least 0 [m].
     """
     found = []
     for first_u, first_v, last_u, last_v in AXES_M:

@@ -1,4 +1,4 @@
-"""The sentences that ReachNet's reader learns from, and its readings in words."""
+"""Training sentences of ReachNet's reader, and its readings as plain data."""
 
 import math
 from collections.abc import Sequence
@@ -18,29 +18,30 @@ from lemma.policies.models.reachnet.goal_reader import (
 from lemma.policies.text.refusals import REASONS, refusal_bank
 
 WHY = tuple(REASONS.values())
-"""Why a sentence is refused, in words, by the number of the reason."""
+"""Explanations of refusals by the index of the reason."""
 
 
 def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, Tensor]:
-    """Return sentences, their goals and reasons to refuse them, as numbers.
+    """Return training sentences with their goals and reasons for refusal.
 
-    Behind the instructions come sentences for the reader alone: those to refuse, with
-    the number of the reason, and orders that look like them.
+    After the instructions of the batch come sentences for the reader alone: those to
+    refuse, and orders that look similar.
 
     Args:
-        reader: Its options say whether it refuses, and how many such sentences come.
-        batch: With labels.
-        device: Where the result lies.
+        reader: Its options determine whether it refuses, and the number of these
+            sentences.
+        batch: Batch with labels.
+        device: Device of the result.
 
     Returns:
         ``words`` of B + M sentences, ``goal``, (B + M, conjuncts, 2), and ``reasons``,
-        (B + M,), -1 for none.
+        (B + M,), -1 for orders.
     """
     assert batch.labels is not None
     reasons = [-1] * len(batch)
     said = [*zip(batch.instructions, batch.labels.goals, reasons, strict=True)]
     if reader.config.refuses and not reader.config.guesses:
-        # Drawn from what is said, which is a function of the step.
+        # Seeded by the instructions, which are a function of the step.
         rng, bank = stream("refusals", *batch.instructions), refusal_bank()
         count = math.ceil(reader.config.lessons * len(batch))
         said += [bank.draw(rng) for _ in range(count)]
@@ -55,11 +56,11 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
 def understood(
     read: Readings, names: Sequence[str], *, refuses: bool
 ) -> list[Understanding]:
-    """Return readings in words.
+    """Return readings as plain data.
 
     Args:
-        read: Of B sentences.
-        names: Of the entities, by their numbers.
+        read: Readings of B sentences.
+        names: Names of the entities, in the order of their numbers.
         refuses: Whether the reader can refuse.
     """
     found = []

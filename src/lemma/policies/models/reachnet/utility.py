@@ -1,10 +1,10 @@
-"""ReachNet's utilities: of ways to drag with the stick, and of spots to put things.
+"""ReachNet's utilities of drags with the stick, and of positions for cubes and stick.
 
-A drag is one of a few bearings and lengths, a spot for a cube or the stick one of many
-places. Utilities are learned from demonstrations: a weighted sum of what makes one
-good, and one soft threshold for each thing that makes it impossible. The thresholds act
-on what the network perceives: how far inside its reach maps the gripper and the cube
-would be, and what would be in the way.
+The candidates of a drag are a few bearings and lengths; those of a cube or of the stick
+are positions on a grid. A utility is learned from demonstrations. It is a weighted sum
+of features, plus a soft threshold for each constraint. The constraints are computed
+from perception: margins of gripper and cube inside the estimated reach, and clearance
+from obstacles.
 """
 
 import math
@@ -35,26 +35,26 @@ from lemma.tasks.drags import (
 )
 
 SIGNS = (-1.0, 1.0)
-"""Which way along the stick it moves the cube when it hooks, and when it pokes."""
+"""Direction of the cube's motion along the stick, for hook and for poke."""
 TURNS_RAD = tuple(
     math.radians(d) for d in (-54, -42, -32, -24, -16, -8, 0, 8, 16, 24, 32, 42, 54)
 )
-"""Bearings of the stick, from the direction in which the robot sees the cube."""
+"""Candidate bearings of the stick, relative to the cube's bearing from the robot."""
 _SHORTEST_M, _STEP_M = 0.12, 0.02
 TRAVELS_M = tuple(
     round(_SHORTEST_M + _STEP_M * i, 3)
     for i in range(1 + round((MAX_DRAG_M + PREPARE_GAP_M - _SHORTEST_M) / _STEP_M))
 )
-"""How far the gripper moves."""
+"""Candidate distances of the gripper's motion."""
 
 _SCALES_M = (0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.1, 0.05)
 _FIRST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, HAND_CLEARANCE_M / 0.02, 1.0, 10.0)
-"""Thresholds at first, in these."""
+"""Initial thresholds, in these units."""
 _OF_REACH = 4
-"""The first constraints are of reach."""
+"""Number of constraints of reach, which come first."""
 _RECEIVER = 2
 _WITHDRAWN_M = ((0.03,), (0.03, 0.09, 0.15))
-"""How far the stick is freed from what it hooked or poked: out, and back."""
+"""Motions that free the stick from the object after hook, outward, and poke, back."""
 _WAYPOINTS = 6
 _SCALE_M = 0.02
 _READY_UNIT_M = 0.1
@@ -63,50 +63,50 @@ _MOST_M = 1.0
 _SPEED = 10.0
 _ROOM_M = 0.3
 _HAND_M = HAND_CLEARANCE_M - 0.02
-"""Less than a hand needs by what a threshold is at first."""
+"""Clearance of the hand minus the initial threshold."""
 _LEEWAY_RAD = 0.2
 _YAWS = 24
 
 
 @dataclass(frozen=True, eq=False)
 class Drags:
-    """All drags of C things: T turns, L lengths, S primitives, R robots."""
+    """All drags of C objects: T bearings, L lengths, S primitives, R robots."""
 
     constraints: Tensor
-    """Constraints, each of which must be large enough, (B, R, S, C, T, L, 9): margins
-    of the gripper at both ends, of the cube's end, and of the gripper when the stick is
-    freed; room for stick, for cube, for the hand, and around bases [m]; and how surely
-    there is a table under the cube."""
+    """Values that must exceed thresholds, (B, R, S, C, T, L, 9): reach margins of the
+    gripper at both ends, of the cube's end, and of the gripper when the stick is freed;
+    clearance of the stick, the cube and the hand, and from bases [m]; and the
+    probability of a table under the cube."""
     bearings: Tensor
     """Bearings of the stick [rad], (B, R, S, C, T)."""
     prepared: Tensor
-    """Gripper where the stick is put down, (B, R, S, C, T, 2) [m]."""
+    """Gripper's position where it puts the stick down, (B, R, S, C, T, 2) [m]."""
 
 
 class Tuned(nn.Module):
-    """A few numbers that training moves ten times as fast as weights."""
+    """Parameters with ten times the learning rate of weights."""
 
     start: Tensor
 
     def __init__(self, start: Sequence[Any]) -> None:
-        """Begin with some numbers.
+        """Set the initial values.
 
         Args:
-            start: The numbers, nested as their shape is.
+            start: The values, nested as their shape is.
         """
         super().__init__()
         values = torch.tensor(start)
         self.register_buffer("start", values, persistent=False)
-        # One-dimensional, because weights of more dimensions decay.
+        # One-dimensional, because weight decay applies to more dimensions.
         self.change = nn.Parameter(torch.zeros(values.numel()))
 
     def forward(self) -> Tensor:
-        """Return the numbers."""
+        """Return the present values."""
         return self.start + _SPEED * self.change.view_as(self.start)
 
 
 class DragUtility(nn.Module):
-    """Utility of drags: the paper's u = q - c, with soft edges."""
+    """Utility of drags: the paper's u = q - c, with soft thresholds."""
 
     def __init__(self, use_reach: bool = True) -> None:
         """Make the weights.
@@ -130,10 +130,11 @@ class DragUtility(nn.Module):
         self.weights = Tuned([[0.0] * 3] * count)
 
     def ready(self, drag_m: Tensor) -> Tensor:
-        """Return where things are, seen from the gripper, when the stick lies ready.
+        """Return positions of objects in the gripper's frame when the stick is ready.
 
         Args:
-            drag_m: From the middle of each to where the stick touches it, (...) [m].
+            drag_m: Distance of each object's center from its contact with the stick,
+                (...) [m].
 
         Returns:
             (S, ..., 2) [m].
@@ -146,11 +147,11 @@ class DragUtility(nn.Module):
         return torch.stack([ahead, across.expand_as(ahead)], -1)
 
     def drags(self, table: SceneTable, cubes: Tensor | None = None) -> Drags:
-        """Return what there is to choose from.
+        """Return the candidate drags.
 
         Args:
             table: B scenes.
-            cubes: Numbers of what is moved, (B, C); all of it if None.
+            cubes: Numbers of the objects, (B, C); all movable ones if None.
         """
         if cubes is None:
             cubes = torch.arange(table.cargo, device=table.xy.device)
@@ -190,11 +191,11 @@ class DragUtility(nn.Module):
         return self._able(drags.constraints) + self._worth(drags.constraints)
 
     def values(self, drags: Drags) -> Tensor:
-        """Return what is known of the best drag, (B, R, S, C, 3).
+        """Return values of the best drag, (B, R, S, C, 3).
 
         Returns:
-            Its utility, how possible it is (0: surely, below: less), and how possible
-            the most possible drag is.
+            Its utility, its log-feasibility (0 if surely feasible, otherwise negative),
+            and the largest log-feasibility of all drags.
         """
         able = self._able(drags.constraints)
         worth = (able + self._worth(drags.constraints)).flatten(-2)
@@ -234,14 +235,14 @@ def _room(
     lying: tuple[Tensor, Tensor, Tensor],
     ready: Tensor,
 ) -> list[Tensor]:
-    """Return the room of stick, cube and hand, and around bases, (B, R, S, C, T, L).
+    """Return clearances of stick, cube, hand and from bases, (B, R, S, C, T, L) each.
 
     Args:
         table: B scenes.
-        cubes: Numbers of what is moved, (B, C).
-        lying: Gripper where the stick is put down, the directions ahead of it and to
-            its left, (B, R, S, C, T, 2) each.
-        ready: The moved object, seen from there, (B, 1, S, C, 1, 2).
+        cubes: Numbers of the objects, (B, C).
+        lying: Gripper's position where it puts the stick down, and the directions ahead
+            of it and to its left, (B, R, S, C, T, 2) each.
+        ready: The object's position in that frame, (B, 1, S, C, 1, 2).
     """
     prepared, ahead, left = lying
     device, stick_number = table.xy.device, table.stick
@@ -262,23 +263,23 @@ def _room(
     stick = torch.where(own, _MOST_M, stick)
     cube = torch.where(own, _MOST_M, cube)
     bases = torch.minimum(stick, cube)[..., stick_number:].amin(-1)
-    # The dragged object lies before the stick, far from the hand.
+    # The dragged object is at the end of the stick, far from the hand.
     hand = beyond(u, back, forth).hypot(v) - radii
     rooms = (stick, cube, torch.where(own, _MOST_M, hand))
     found = [room[..., :stick_number].amin(-1) for room in rooms]
-    # Room that is more than enough is all the same.
+    # Larger clearances make no difference.
     return [room.clamp(max=_MOST_M) for room in (*found, bases)]
 
 
 def straight(table: SceneTable, points: Tensor) -> Tensor:
-    """Return bearings of a stick that takes things straight on, (B, R, S, N).
+    """Return the straight bearings of drags, (B, R, S, N) [rad].
 
-    That is from a robot's own base to what it hooks, and from what it pokes to the
-    nearest other base [rad].
+    For hook it is from the robot's base to the object, for poke from the object to the
+    nearest other base.
 
     Args:
         table: B scenes.
-        points: (B, N, 2) [m].
+        points: World positions of objects, (B, N, 2) [m].
     """
     away = points[:, None] - table.bases[:, :, None]
     robots = away.shape[1]
@@ -291,12 +292,12 @@ def straight(table: SceneTable, points: Tensor) -> Tensor:
 
 
 def _freed(table: SceneTable, end: Tensor, ahead: Tensor) -> Tensor:
-    """Return each robot's margin where it lets go of the stick, (B, R, S, C, T, L).
+    """Return each robot's margin where it frees the stick, (B, R, S, C, T, L) [m].
 
     Args:
         table: B scenes.
-        end: Gripper at the end of a drag, (B, R, S, C, T, L, 2).
-        ahead: Along the stick, (B, R, S, C, T, 2).
+        end: Gripper's position at the end of a drag, (B, R, S, C, T, L, 2) [m].
+        ahead: Direction of the stick, (B, R, S, C, T, 2).
     """
     found = []
     for side, (sign, ways) in enumerate(zip(SIGNS, _WITHDRAWN_M, strict=True)):
@@ -316,9 +317,9 @@ def _own(margins: Tensor) -> Tensor:
 
 
 def _receiver(margins: Tensor) -> Tensor:
-    """Return the margin of who shall reach the cube at its end, (B, R, S, ...).
+    """Return the receiving robot's margin at the cube's end, (B, R, S, ...).
 
-    That is oneself after a hook, and another robot after a poke.
+    The receiver is the same robot after hook, and another one after poke.
     """
     robots = margins.shape[1]
     rows = []
@@ -332,14 +333,14 @@ def _receiver(margins: Tensor) -> Tensor:
 def _grid(half_x_m: float, half_y_m: float, step_m: float) -> Tensor:
     """Return the points of a grid around the origin, (N, 2) [m]."""
     columns, rows = round(half_x_m / step_m), round(half_y_m / step_m)
-    # On "meta", torch would load its compiler for this.
+    # On the CPU, because torch loads its compiler for arithmetic on "meta".
     x = step_m * torch.arange(-columns, columns + 1, device="cpu")
     y = step_m * torch.arange(-rows, rows + 1, device="cpu")
     return torch.cartesian_prod(x, y).float()
 
 
 class _Spots(nn.Module):
-    """Utility of candidates: soft thresholds, and what is better or worse."""
+    """Utility of positions on a grid: soft thresholds and weighted features."""
 
     grid: Tensor
 
@@ -364,7 +365,7 @@ class _Spots(nn.Module):
 
 
 class CubeSpots(_Spots):
-    """Predicts the place for a cube."""
+    """Utility of positions for a cube."""
 
     def __init__(self, use_reach: bool = True) -> None:
         """Make the weights.
@@ -375,11 +376,11 @@ class CubeSpots(_Spots):
         super().__init__(_grid(0.24, 0.44, 0.02), 3, 3, use_reach)
 
     def forward(self, table: SceneTable, cube: Tensor) -> Tensor:
-        """Return the utility of each spot, (B, N).
+        """Return the utility of each position, (B, N).
 
         Args:
             table: B scenes.
-            cube: Which entity is put there, (B,).
+            cube: Number of the placed entity, (B,).
         """
         table = _without(table, cube)
         margin = self._worst_margin(table, self.grid)
@@ -403,16 +404,16 @@ class CubeSpots(_Spots):
         return utility
 
     def number(self, xy: Tensor) -> Tensor:
-        """Return the spot nearest to positions (B, 2) [m]."""
+        """Return the indices of the candidates nearest to positions (B, 2) [m]."""
         return torch.cdist(xy, self.grid).argmin(-1)
 
     def pose(self, number: Tensor) -> Tensor:
-        """Return the positions of spots, (B, 2) [m]."""
+        """Return the positions of candidates, (B, 2) [m]."""
         return self.grid[number]
 
 
 class StickSpots(_Spots):
-    """How to lay the stick down so that every robot can take it."""
+    """Utility of poses for the stick that every robot can grasp."""
 
     def __init__(self, use_reach: bool = True) -> None:
         """Make the weights.
@@ -423,7 +424,7 @@ class StickSpots(_Spots):
         super().__init__(_grid(0.16, 0.24, 0.04), 6, 3, use_reach)
 
     def forward(self, table: SceneTable, robot: Tensor) -> Tensor:
-        """Return the utility of each spot with each yaw, (B, N * yaws).
+        """Return the utility of each position with each yaw, (B, N * yaws).
 
         Args:
             table: B scenes.
@@ -466,15 +467,15 @@ class StickSpots(_Spots):
         return (able + worth).flatten(1)
 
     def _turn(self, table: SceneTable, robot: Tensor, heading: Tensor) -> Tensor:
-        """Return how far the stick turns, seen from the base of who brings it.
+        """Return the rotation of the stick relative to the robot's base, (B, N, yaws).
 
-        The last joint turns it, and never beyond straight back to the base: from one
-        side of that to the other it goes the long way.
+        The last joint rotates the stick, and cannot pass the direction towards the
+        base, so the rotation may be the longer way [rad].
 
         Args:
             table: B scenes.
-            robot: (B,).
-            heading: Heading of the laid stick, from straight outward, (B, N, yaws).
+            robot: Number of the robot, (B,).
+            heading: Heading of the placed stick from straight outward, (B, N, yaws).
         """
         rows = torch.arange(len(table), device=robot.device)
         ray = table.grasp - table.bases[rows, robot]
@@ -483,7 +484,7 @@ class StickSpots(_Spots):
         return (wrapped(heading) - before[:, None, None]).abs()
 
     def number(self, pose: Tensor) -> Tensor:
-        """Return the candidates nearest to gripper poses (B, 3)."""
+        """Return the indices of the candidates nearest to gripper poses (B, 3)."""
         spot = torch.cdist(pose[:, :2], self.grid).argmin(-1)
         return spot * _YAWS + torch.round(pose[:, 2] * _YAWS / math.tau).long() % _YAWS
 
@@ -494,6 +495,6 @@ class StickSpots(_Spots):
 
 
 def _without(table: SceneTable, entity: Tensor) -> SceneTable:
-    """Return the table with an entity taken away."""
+    """Return scenes without an entity."""
     gone = F.one_hot(entity, table.xy.shape[1]).bool()
     return replace(table, xy=torch.where(gone.unsqueeze(-1), FAR_M, table.xy))
