@@ -47,7 +47,7 @@ from lemma.scene.objects.contacts import (
     find_touches,
     is_near_or_moved,
 )
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal, Lifted, On, Predicate, Reached, is_at_rest
 from lemma.tasks.subtask import Primitive, SubTask
@@ -275,6 +275,9 @@ class StageWatch:
     def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:
         """Yield the earlier sub-tasks with the same objects; pads do not count."""
         mine = {name for name in _entities(plan[i]) if name in self._number}
+        if kind_of(plan[i].pick).span_m is not None:
+            # Earlier ones may have brought its second support.
+            return iter(range(i))
         return (k for k in range(i) if mine & {*_entities(plan[k])})
 
     def _level(self, step: SubTask) -> int:

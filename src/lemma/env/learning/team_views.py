@@ -33,7 +33,9 @@ class _Agents:
         }
         config = inner.config
         self._observers = {
-            name: Observer(config.observation, (i,), config.image_size)
+            name: Observer(
+                config.observation, (i,), config.image_size, kinds=config.kinds
+            )
             for i, name in enumerate(self.possible_agents)
         }
 

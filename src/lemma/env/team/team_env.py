@@ -223,8 +223,10 @@ class TeamPlanEnv(TeamEnv):
         return spaces.Dict(
             {
                 "primitive": spaces.Discrete(len(primitive_names()) + 1),
-                "pick": spaces.Discrete(len(picks())),
-                "place": spaces.Discrete(len(places(len(self.robot_names)))),
+                "pick": spaces.Discrete(len(picks(self.config.kinds))),
+                "place": spaces.Discrete(
+                    len(places(len(self.robot_names), self.config.kinds))
+                ),
             }
         )
 
@@ -236,13 +238,15 @@ class TeamPlanEnv(TeamEnv):
         """
         found = {}
         for subtask in subtasks:
-            order = encode_plan(subtask, len(self.robot_names))
+            order = encode_plan(subtask, len(self.robot_names), self.config.kinds)
             robot = self.robot_names[order.pop("robot")]
             found[robot] = order
         return found
 
     def _decode(self, order: Action, robot: int) -> SubTask | None:
-        subtask = decode_plan({"robot": robot, **order}, len(self.robot_names))
+        subtask = decode_plan(
+            {"robot": robot, **order}, len(self.robot_names), self.config.kinds
+        )
         return None if subtask.primitive is Primitive.STOP else subtask
 
     def valid_orders(self, robot: str) -> tuple[SubTask, ...]:
@@ -260,7 +264,7 @@ class TeamPlanEnv(TeamEnv):
         found = self._busy_mask()
         found["primitive"][primitive_names().index(Primitive.STOP)] = 1
         for subtask in self.valid_orders(robot):
-            order = encode_plan(subtask, len(self.robot_names))
+            order = encode_plan(subtask, len(self.robot_names), self.config.kinds)
             for part, mask in found.items():
                 mask[order[part]] = 1
         return found

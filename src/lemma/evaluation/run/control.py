@@ -176,7 +176,7 @@ class ControlPlayer(Player):
             policy: The policy.
         """
         super().__init__(policy)
-        self._observers: dict[int, Observer] = {}
+        self._observers: dict[tuple[int, tuple[str, ...]], Observer] = {}
 
     def begin(
         self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
@@ -192,16 +192,17 @@ class ControlPlayer(Player):
     def policy_input(self, rollout: Rollout) -> ControlInput:
         """Return the policy's present input in an episode."""
         assert isinstance(rollout, ControlRollout)
-        robots = len(rollout.instance.scene.robots)
-        if robots not in self._observers:
-            config = rollout.config
-            self._observers[robots] = Observer(
+        robots, config = len(rollout.instance.scene.robots), rollout.config
+        key = (robots, config.kinds)
+        if key not in self._observers:
+            self._observers[key] = Observer(
                 config.observation,
                 tuple(range(robots)),
                 config.image_size,
                 config.cameras,
+                config.kinds,
             )
-        return rollout.look(self._observers[robots], oracle=is_oracle(self.policy))
+        return rollout.look(self._observers[key], oracle=is_oracle(self.policy))
 
 
 def load_player(spec: PolicySpec) -> Player:

@@ -24,6 +24,7 @@ from lemma.policies.together.interfaces import (
     orders_of,
 )
 from lemma.scene.objects.entity import SHARED, known_entities, pair_regions
+from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -225,7 +226,13 @@ def _subtask(subtask: object, robots: int) -> SubTask:
     for entity in (subtask.pick, subtask.place):
         if entity != "":
             _check_name(
-                "entity", entity, (*known_entities(), SHARED, *pair_regions(robots))
+                "entity",
+                entity,
+                (
+                    *known_entities(tuple(OBJECT_KINDS)),
+                    SHARED,
+                    *pair_regions(robots),
+                ),
             )
     return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
 
