@@ -13,7 +13,8 @@ from tiers import slow_but
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Ended, Simulation
+from lemma.env.simulation import STEPS_PER_TICK, TICK_S, Simulation
+from lemma.env.snapshots import Ended
 from lemma.expert.expert import Expert, solve
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M

@@ -13,7 +13,8 @@ from watched_sectors import watch_sectors
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import Ended, Simulation
+from lemma.env.simulation import Simulation
+from lemma.env.snapshots import Ended
 from lemma.expert.together import solve_together
 from lemma.planning.schedule import predecessors
 from lemma.robots.collision_model import sweep_radius_m

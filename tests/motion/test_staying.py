@@ -9,7 +9,8 @@ from watched_sectors import watch_sectors
 
 from lemma.core.poses import Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import Ended, Simulation
+from lemma.env.simulation import Simulation
+from lemma.env.snapshots import Ended
 from lemma.motion.arm_motion import largest_turn
 from lemma.motion.staying import HOME_RAD
 from lemma.scene.objects.entity import kind_of

@@ -13,6 +13,7 @@ from lemma.robots.reach import Reach, reach_of
 from lemma.scene.objects.kind import ObjectKind, Part
 from lemma.scene.objects.pad import PAD, PAD_RADIUS_M
 from lemma.scene.objects.stick import GRASP_FROM_END_M, HANDLE_LENGTH_M
+from lemma.scene.objects.tray import HANDLE_GRASP_M, TRAY, TRAY_MASS_KG
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -98,7 +99,14 @@ def thin_pad(name: str, radius_m: float) -> ObjectKind:
     )
 
 
-THIN = (thin_pad("mat", PAD_RADIUS_M), thin_pad("rug", 0.3))
+def light_tray(name: str) -> ObjectKind:
+    """A tray of 0.2 kg, which one hand lifts level by one handle."""
+    share = 0.2 / TRAY_MASS_KG
+    parts = [replace(p, mass_kg=share * (p.mass_kg or 0.0)) for p in TRAY.parts]
+    return replace(TRAY, name=name, nouns=(name,), parts=tuple(parts))
+
+
+THIN = (thin_pad("mat", PAD_RADIUS_M), thin_pad("rug", 0.3), light_tray("platter"))
 """Kinds that are registered where soft tables are used."""
 
 
@@ -169,6 +177,17 @@ def stick_by_its_hook() -> Instance:
     return replace(soft, scene=replace(soft.scene, objects=(*others, stick)))
 
 
+def tray_for_one() -> Instance:
+    """A light tray, whose near handle and its place are well in reach."""
+    x = BASE.x + 0.6 + HANDLE_GRASP_M
+    return instance(
+        "carry",
+        ("platter", "blue_rack"),
+        ObjectPlacement("platter", "platter", Pose2(x, -0.2)),
+        ObjectPlacement("rack", "blue", Pose2(x, 0.2)),
+    )
+
+
 SOFT: dict[str, Callable[[], Instance]] = {
     "drag_home": two_cubes_to_drag,
     "drag_any_part": two_cubes_to_drag,
@@ -197,6 +216,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "stick_relay": lambda: pad_out_of_reach(0.95, "mat"),
     "tower_push": lambda: pad_out_of_reach(0.25),
     "knock_off": lambda: pad_out_of_reach(0.24),
+    "one_handle": tray_for_one,
     "squeeze_out": lambda: pad_out_of_reach(0.20),
 }
 """Attacks, and an instance that each of them solves."""

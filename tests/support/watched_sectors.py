@@ -5,7 +5,7 @@ from itertools import combinations
 from lemma.env.simulation import Simulation
 from lemma.evaluation.run.watches import ClearanceWatch
 from lemma.motion.arm_motion import largest_turn
-from lemma.motion.reservations import cell_at
+from lemma.motion.sectors import cell_at
 
 
 def watch_sectors(simulation: Simulation) -> ClearanceWatch:

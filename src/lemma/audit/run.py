@@ -34,6 +34,7 @@ for _name in (
         "control.search",
         "control.row",
         "control.stick",
+        "control.handle",
     ),
 ):
     import_module(f"lemma.audit.{_name}")

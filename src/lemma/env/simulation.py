@@ -6,7 +6,6 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,9 +14,12 @@ from lemma.core.errors import InvalidActionError, PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray
 from lemma.env.snapshots import (
     ArmSnapshot,
+    Ended,
     RobotClock,
     Running,
     SimulationSnapshot,
+    outcome_of,
+    with_losses,
 )
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.leaving import NOTHING_LEAVES
@@ -42,17 +44,6 @@ Pace = Callable[[str, float, float], float]
 usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
-_FINAL = (Outcome.OUT_OF_TIME, Outcome.THROWN, Outcome.RULE)
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """A sub-task that has ended."""
-
-    subtask: GroundedSubTask
-    result: SkillResult
-    start_s: float
-    """Simulated time at which it began [s]."""
 
 
 class Simulation:
@@ -206,16 +197,29 @@ class Simulation:
     ) -> None:
         if subtask.robot not in self.arms:
             raise UnknownNameError("robot in this scene", subtask.robot, self.arms)
-        if subtask.robot in self._running:
+        joint = self._skills.pair_up(subtask)
+        parts = {subtask.robot: subtask} if joint is None else joint.subtasks
+        busy = next((robot for robot in parts if robot in self._running), None)
+        if busy is not None:
             raise InvalidActionError(
-                f"{subtask.robot} is busy. Only a free robot can begin a sub-task."
+                f"{busy} is busy. Only a free robot can begin a sub-task."
             )
-        self._skills.staying.work(subtask.robot)
-        self._skills.leaving.note(subtask.robot, leaving)
-        skill = self._skills.run(subtask)
-        self._running[subtask.robot] = Running(
-            subtask, skill, self.time_s, until_s, self.scene.fallen
-        )
+        for robot, part in parts.items():
+            self._skills.staying.work(robot)
+            self._skills.leaving.note(robot, leaving)
+            if joint is not None:
+                self._skills.joints[robot] = joint
+            self._running[robot] = Running(
+                *(part, self._skills.run(part), self.time_s, until_s),
+                self.scene.fallen,
+                partner="" if joint is None else joint.partner_of(robot),
+                leads=part is subtask,
+            )
+
+    def partner_of(self, subtask: GroundedSubTask) -> str:
+        """Return the robot that a sub-task takes besides its own; empty for none."""
+        joint = self._skills.pair_up(subtask)
+        return "" if joint is None else joint.partner_of(subtask.robot)
 
     @property
     def busy(self) -> dict[str, GroundedSubTask]:
@@ -243,16 +247,19 @@ class Simulation:
                 self.tick((*self.busy, *self._mind_others()))
             except BaseException:
                 # An observer may break everything off by raising something.
-                for name in tuple(self._running):
-                    self._free(name)
+                while self._running:
+                    self._free(next(iter(self._running)))
                 raise
         return ()
 
     def _keep_pace(self, robot: str) -> float:
         """Set and return how fast a busy robot is now."""
-        arm = self.arms[robot]
+        arm, running = self.arms[robot], self._running[robot]
         if self.pace is not None:
-            arm.pace = self.pace(robot, self._running[robot].start_s, self.time_s)
+            pair = filter(None, (robot, running.partner))
+            # Two that carry one thing are as slow as the slower one.
+            start_s, now_s = running.start_s, self.time_s
+            arm.pace = min(self.pace(name, start_s, now_s) for name in pair)
         return arm.pace
 
     def _mind_others(self) -> tuple[str, ...]:
@@ -266,21 +273,34 @@ class Simulation:
         """Let every skill look at the present state once; free robots that are done."""
         ended = []
         for name in self.busy:
-            running, result = self._running[name], None
+            if name not in self._running:
+                # It ended with its partner.
+                continue
+            running = self._running[name]
             try:
                 if running.looks(self.time_s, self._keep_pace(name)):
                     next(running.skill)
             except StopIteration as done:
-                result = done.value
+                running.result = running.result or done.value
             except BaseException:
                 self._free(name)
                 raise
+            other = self._running.get(running.partner)
+            result = outcome_of(running, other, self.time_s)
             result = result or self._broken_off(running)
             if result is not None:
-                self._free(name)
-                result = self._with_losses(result, running.fallen)
-                ended.append(Ended(running.subtask, result, running.start_s))
+                ended.append(self._end(name, result))
         return tuple(ended)
+
+    def _end(self, robot: str, result: SkillResult) -> Ended:
+        """Free a robot, and its partner, and return what has ended."""
+        running = self._running[robot]
+        if not running.leads:
+            running = self._running[running.partner]
+        self._free(robot)
+        fell = [name for name in self.scene.fallen if name not in running.fallen]
+        result = with_losses(result, fell)
+        return Ended(running.subtask, result, running.start_s)
 
     def _broken_off(self, running: Running) -> SkillResult | None:
         """Return how a sub-task ends that must not go on, None if it may."""
@@ -296,23 +316,17 @@ class Simulation:
         return None
 
     def _free(self, robot: str) -> None:
-        """End what a robot does, and count the time it took."""
+        """End what a robot does, and its partner; count the time it took."""
         running = self._running.pop(robot)
+        if running.partner in self._running:
+            self._free(running.partner)
+        self._skills.joints.pop(robot, None)
         running.skill.close()
         self.arms[robot].pace = 1.0
         self._skills.staying.leave(robot)
         if not self._running:
             self._skills.staying.clear()
         self.clocks[robot].busy_s += self.time_s - running.start_s
-
-    def _with_losses(self, result: SkillResult, before: tuple[str, ...]) -> SkillResult:
-        """Return a result that tells what fell off the table, if something did."""
-        fell = [name for name in self.scene.fallen if name not in before]
-        if not fell or result.outcome in _FINAL:
-            return result
-        explanation = "" if result.ok else f"{result.explanation} "
-        explanation += f"The {' and the '.join(fell)} fell off the table."
-        return SkillResult(Outcome.DROPPED, explanation, result.duration_s)
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""
@@ -365,6 +379,7 @@ class Simulation:
         for running in self._running.values():
             running.skill.close()
         self._running.clear()
+        self._skills.joints.clear()
         self._skills.staying.clear()
         self.reservations.clear(snapshot.waiting)
         self.scene.restore(snapshot.physics)

@@ -1,9 +1,11 @@
 """Snapshots of a simulation, time counters of robots, and running sub-tasks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lemma.core.poses import FloatArray
+from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill
@@ -61,6 +63,12 @@ class Running:
     """Objects that had fallen off the table before it began."""
     looked_s: float = -math.inf
     """Simulated time at which the skill last looked at the world [s]."""
+    partner: str = ""
+    """The other robot of a joint sub-task."""
+    leads: bool = True
+    """Whether the sub-task was given to this robot; False for a partner."""
+    result: SkillResult | None = None
+    """How it ended, while its partner is still at work."""
     due: float = 1.0
     """Looks that it has not made yet; a slow robot's skill looks less often."""
 
@@ -71,3 +79,45 @@ class Running:
         self.looked_s, due = now_s, self.due + pace
         self.due = due - 1.0 if due >= 1.0 else due
         return due >= 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A sub-task that has ended."""
+
+    subtask: GroundedSubTask
+    result: SkillResult
+    start_s: float
+    """Simulated time at which it began [s]."""
+
+
+def outcome_of(
+    running: Running, partner: Running | None, now_s: float
+) -> SkillResult | None:
+    """Return how a sub-task went, for all of its robots; None if it goes on.
+
+    Args:
+        running: The sub-task of one robot.
+        partner: The part of its partner in a joint sub-task; None for other sub-tasks.
+        now_s: Present simulated time [s].
+    """
+    if partner is None:
+        return running.result
+    if running.result is None or partner.result is None:
+        return None
+    first, second = (running, partner) if running.leads else (partner, running)
+    results = [one.result for one in (first, second) if one.result is not None]
+    said = next((result for result in results if not result.ok), results[0])
+    return SkillResult(said.outcome, said.explanation, now_s - first.start_s)
+
+
+_FINAL = (Outcome.OUT_OF_TIME, Outcome.THROWN, Outcome.RULE)
+
+
+def with_losses(result: SkillResult, fell: Sequence[str]) -> SkillResult:
+    """Return a result that names the objects that fell off the table, if any did."""
+    if not fell or result.outcome in _FINAL:
+        return result
+    explanation = "" if result.ok else f"{result.explanation} "
+    explanation += f"The {' and the '.join(fell)} fell off the table."
+    return SkillResult(Outcome.DROPPED, explanation, result.duration_s)

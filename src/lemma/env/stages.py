@@ -9,6 +9,7 @@ Each sub-task of the expert's plan for the instance has five stages:
    is held, and the cube has moved,
 5. *placed*: the moved object rests at its place in the sub-task, and no robot leads it.
 
+Of ``carry`` each counts once both robots have come so far, each at its handle.
 ``reach`` has two, approached and placed: the hand is over the object. ``lift`` has
 four: approached, touched, grasped and lifted.
 
@@ -46,11 +47,12 @@ from lemma.scene.objects.contacts import (
     RIGHT,
     find_touches,
     is_near_or_moved,
+    watched_m,
 )
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.drags import grasp_on_stick
 from lemma.tasks.goal import Goal, Lifted, On, Predicate, Reached, is_at_rest
-from lemma.tasks.subtask import Primitive, SubTask
+from lemma.tasks.subtask import JOINT, Primitive, SubTask
 
 LOOK_TICKS = 5
 """Servo ticks between two updates: 50 ms."""
@@ -150,6 +152,7 @@ class StageWatch:
         self._seen = np.array([self._scene.data.qpos[at : at + 3] for at in self._at])
         self._seen = self._seen.reshape(-1, 3)
         self._first_seen = self._seen.copy()
+        self._watch_m = watched_m(self._names)
         robots = len(self._scene.robots)
         self._sites, self._parts = self._scene.tcp_sites, self._scene.parts
         self._touch = np.zeros((robots, len(self._names)), np.int64)
@@ -223,7 +226,8 @@ class StageWatch:
         if self._ticks % LOOK_TICKS:
             return
         near, moved = is_near_or_moved(
-            data.qpos, self._at, data.site_xpos, self._sites, self._seen
+            *(data.qpos, self._at, data.site_xpos, self._sites),
+            *(self._seen, self._watch_m),
         )
         if not (near or moved or self._near):
             return
@@ -284,10 +288,9 @@ class StageWatch:
         """Return how many of the first four stages of a sub-task hold now."""
         if step.pick not in self._number:
             return 0
-        item = self._number[step.pick]
-        level = 0
+        item, levels = self._number[step.pick], [0]
         for robot, name in enumerate(self._scene.spec.robot_names):
-            touch = int(self._touch[robot, item])
+            touch, level = int(self._touch[robot, item]), 0
             grasped = touch & LEFT and touch & RIGHT
             if not self._is_able(name, step, held=bool(grasped)):
                 continue
@@ -296,33 +299,48 @@ class StageWatch:
                 moved = self._way_m(subject) > MOVED_M or (
                     subject == item and self._rise_m(item) > LIFT_M
                 )
-                level = max(level, 4 if moved else 3)
+                level = 4 if moved else 3
             elif touch:
-                level = max(level, 2)
+                level = 2
             elif self._hand_m(robot, step.pick) < NEAR_M:
-                level = max(level, 1)
-        return level
+                level = 1
+            levels.append(level)
+        # Of what two robots do, as far as both are.
+        hands = 2 if step.primitive in JOINT else 1
+        return sorted(levels)[-hands] if len(levels) >= hands else 0
 
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
         """Return True if a robot reaches pick and place, and carries the pick."""
         reaches = self._grounder.reaches
-        if self._grounder.overload(robot, step.pick):
+        if step.primitive not in JOINT and self._grounder.overload(robot, step.pick):
             return False
-        if not held and not reaches(robot, self._grip(step.pick)):
+        if not held and not reaches(robot, self._grip(step.pick, robot)):
             return False
         if step.place in self._scene.object_names and step.pick != STICK:
-            return reaches(robot, self._scene.pose2(step.place))
+            place = self._scene.pose2(step.place)
+            return reaches(robot, self._handle(step.pick, robot, place))
         return True
 
-    def _grip(self, name: str) -> Pose2:
-        """Return the grasp pose of an object."""
+    def _grip(self, name: str, robot: str = "") -> Pose2:
+        """Return the grasp pose of an object: for a robot, if there are two."""
         pose = self._scene.pose2(name)
-        return grasp_on_stick(pose) if name == STICK else pose
+        if name == STICK:
+            return grasp_on_stick(pose)
+        return self._handle(name, robot, pose) if robot else pose
+
+    def _handle(self, name: str, robot: str, at: Pose2) -> Pose2:
+        """Return where a robot has its hand when an object lies somewhere."""
+        carried = kind_of(name).carried
+        if carried is None:
+            return at
+        base = self._grounder.robots[robot].base
+        return min((at @ grasp.at for grasp in carried.handles), key=base.distance)
 
     def _hand_m(self, robot: int, name: str) -> float:
         """Return the distance of a hand from an object's grasp position [m]."""
         x, y, z = self._scene.data.site_xpos[self._sites[robot]].tolist()
-        grip, height = self._grip(name), self._scene.position(name)[2]
+        hand = self._scene.spec.robot_names[robot]
+        grip, height = self._grip(name, hand), self._scene.position(name)[2]
         return float(np.sqrt((x - grip.x) ** 2 + (y - grip.y) ** 2 + (z - height) ** 2))
 
     def _rise_m(self, item: int) -> float:

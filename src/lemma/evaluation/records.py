@@ -105,6 +105,8 @@ class _Step(Symbols, kw_only=True):
     """Time of waiting for a sector [s]; only for robots that act together."""
     effect_s: float | None = None
     """Time at which its effect was first observed [s], if it was checked."""
+    partner: str | None = None
+    """The second robot of a joint sub-task; None for other sub-tasks."""
 
 
 Steps = Annotated[list[_Step], Meta(max_length=200)]

@@ -111,7 +111,7 @@ class TeamWork:
     @property
     def waits(self) -> bool:
         """Whether a free robot has sub-tasks left."""
-        free = (step.robot not in self.team.orders for step in self.todo)
+        free = (not self.team.works_on(step.robot) for step in self.todo)
         return any(free) and not self.failed
 
     def begin_ready(self, may: Callable[[SubTask], bool] = lambda _: True) -> None:
@@ -130,12 +130,14 @@ class TeamWork:
             mine = [k for k in self._todo if self._steps[k].robot == robot]
             mine = [k for k in mine if may(self._steps[k])]
             k = next((k for k in mine if self._needs[k].keys() <= have), None)
-            if robot in team.orders or k is None or self.failed:
+            if team.works_on(robot) or k is None or self.failed:
                 continue
             expected = team.expected(now, settled)
             option = team.grounder.ground(self._steps[k], expected)
             if option is None:
                 lost, self.failed = True, not self._patient
+                continue
+            if team.works_on(option.partner):
                 continue
             self._todo.remove(k)
             self._numbers[robot] = k

@@ -101,7 +101,10 @@ class Moves:
         """Raise ``OVERLOAD`` if the grasped object is too heavy, after a lift."""
         robot, spec = self.arm.robot.placement, self.scene.spec
         held = self.scene.held().get(self._name)
-        if held and (why := robot.overload(self._name, spec.placement(held))):
+        thing = spec.placement(held) if held else None
+        if thing is None or thing.entity.kind.carried is not None:
+            return
+        if why := robot.overload(self._name, thing):
             yield from self.rise(low, low[2] + _TRY_M)
             raise SkillFailure(Outcome.OVERLOAD, why)
 

@@ -13,50 +13,28 @@ A sub-task that has waited for :data:`LONGEST_WAIT_S` ends as ``deadlock``. A fr
 that is not at home holds its way home (:mod:`lemma.motion.staying`).
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, Pose2
 from lemma.motion.arm_motion import ArmMotion
+from lemma.motion.sectors import CELLS, Cells, clip, polar_of
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import frames, top_down
-from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
-Cells = npt.NDArray[np.bool_]
-"""A set of cells of the grid over the table, (n,)."""
-
-MARGIN_M = 0.17
-"""Margin on each side of the line from base to gripper. With 0.10 m two of twenty pairs
-of arms touched, because elbow and wrist are beside that line."""
 BEYOND_M = 0.12
 """Margin beyond the gripper."""
 BEYOND_STICK_M = 0.85
 """Margin beyond a gripper that holds the stick."""
+BEYOND_HANDLE_M = 0.36
+"""Margin beyond a gripper at one end of what two robots carry: up to its middle."""
 PATIENCE_S = 0.5
 """Time after which a cycle of waiting arms is resolved."""
 LONGEST_WAIT_S = 60.0
 """Longest time that an arm waits for others."""
-
-_CELL_M = 0.05
-_ACROSS, _DEEP = (
-    2 * round(half_m / _CELL_M) for half_m in (TABLE_HALF_X_M, TABLE_HALF_Y_M)
-)
-_CELLS = _ACROSS * _DEEP
-
-
-def cell_at(x: float, y: float) -> int | None:
-    """Return the index of the cell at a position [m]; None outside the table."""
-    column = math.floor(x / _CELL_M) + _ACROSS // 2
-    row = math.floor(y / _CELL_M) + _DEEP // 2
-    inside = 0 <= column < _ACROSS and 0 <= row < _DEEP
-    return row * _ACROSS + column if inside else None
 
 
 class Verdict(Enum):
@@ -162,7 +140,7 @@ class Reservations:
             wait.holders = self._holders_of(wait.cells, robot)
             if wait.holders:
                 return False
-        stops, cells = self._stops(robot, goals), np.ones(_CELLS, np.bool_)
+        stops, cells = self._stops(robot, goals), np.ones(CELLS, np.bool_)
         beyond = BEYOND_STICK_M if stick else BEYOND_M
         self._clip(robot, stops, beyond, cells)
         holders = self._holders_of(cells, robot)
@@ -176,13 +154,46 @@ class Reservations:
         self._holders[robot] = _Holder(cells, stops, beyond)
         return True
 
-    def _holders_of(self, cells: Cells, but: str) -> tuple[str, ...]:
+    def ask_together(self, goals: Mapping[str, Sequence[Pose2]]) -> bool:
+        """Reserve what arms sweep that carry one thing: the sectors of all, or none.
+
+        Sectors of these arms may overlap: one clock leads them all.
+
+        Args:
+            goals: Where each will work, by robot; see :meth:`ask`.
+
+        Returns:
+            Whether all have their sectors. If not, :attr:`waits` says for whom the
+            first one waits.
+        """
+        leader, wanted = next(iter(goals)), dict[str, _Holder]()
+        for robot, at in goals.items():
+            stops, cells = self._stops(robot, at), np.ones(CELLS, np.bool_)
+            self._clip(robot, stops, BEYOND_HANDLE_M, cells)
+            wanted[robot] = _Holder(cells, stops, BEYOND_HANDLE_M)
+        cells = np.logical_or.reduce([one.cells for one in wanted.values()])
+        holders = self._holders_of(cells, *goals)
+        if holders:
+            wait = self.waits.setdefault(
+                leader, Wait(self._scene.time_s, holders, cells)
+            )
+            wait.holders = holders
+            return False
+        self._end_wait(leader)
+        self._holders |= wanted
+        return True
+
+    def _holders_of(self, cells: Cells, *but: str) -> tuple[str, ...]:
         """Return the other robots that hold some of these cells."""
         return tuple(
             name
             for name, other in self._holders.items()
-            if name != but and (cells & other.cells).any()
+            if name not in but and (cells & other.cells).any()
         )
+
+    def holds(self, robot: str) -> bool:
+        """Whether a robot holds a sector."""
+        return robot in self._holders
 
     def is_going_home(self, robot: str) -> bool:
         """Return whether an arm has no more targets and does not wait."""
@@ -210,7 +221,7 @@ class Reservations:
         """
         self._end_wait(robot)
         if robot not in self._holders:
-            stops, cells = self._stops(robot, ()), np.ones(_CELLS, np.bool_)
+            stops, cells = self._stops(robot, ()), np.ones(CELLS, np.bool_)
             beyond = BEYOND_STICK_M if stick else BEYOND_M
             self._clip(robot, stops, beyond, cells)
             for other in self._holders.values():
@@ -311,89 +322,5 @@ class Reservations:
         """Remove the cells that an arm does not sweep from its present position."""
         arm = self._arms[robot]
         base = arm.robot.placement.base
-        tcp, polar = arm.tcp_pose(), _polar(base.x, base.y)
-        _clip(polar, base.x, base.y, tcp, arm.state[0, 0], stops, beyond_m, cells)
-
-
-@kernel
-def _clip(  # noqa: PLR0913 - one call is what makes it fast
-    polar: FloatArray,
-    x: float,
-    y: float,
-    tcp: FloatArray,
-    joint: float,
-    stops: FloatArray,
-    beyond_m: float,
-    out: Cells,
-) -> None:
-    """Remove from ``out`` the cells that an arm does not sweep on its way.
-
-    Args:
-        polar: Polar coordinates of the cells, see :func:`_polar`.
-        x: World x of the base [m].
-        y: World y of the base [m].
-        tcp: World from gripper at the tool centre point, (4, 4) [m].
-        joint: Present angle of the base joint [rad].
-        stops: World x, y of the gripper [m] and base joint angle [rad], (k, 3).
-        beyond_m: Margin beyond the gripper [m].
-        out: The arm's cells, (n,); written.
-    """
-    farthest = math.hypot(tcp[0, 3] - x, tcp[1, 3] - y)
-    for i in range(stops.shape[0]):
-        farthest = max(farthest, math.hypot(stops[i, 0] - x, stops[i, 1] - y))
-    swept = np.zeros(out.shape[0], np.bool_)
-    at = math.atan2(tcp[1, 3] - y, tcp[0, 3] - x)
-    for i in range(stops.shape[0]):
-        # Bearing and base joint differ, because the gripper is beside the arm's plane.
-        # The bearings give the size of the turn, and the joint its number of turns.
-        bearing = math.atan2(stops[i, 1] - y, stops[i, 0] - x)
-        turn = bearing - at
-        turn += math.tau * round((stops[i, 2] - joint - turn) / math.tau)
-        _sweep(polar, at, turn, farthest + beyond_m, swept)
-        at, joint = bearing, stops[i, 2]
-    for i in range(out.shape[0]):
-        out[i] = out[i] and swept[i]
-
-
-@kernel
-def _sweep(
-    polar: FloatArray, at: float, turn: float, farthest: float, out: Cells
-) -> None:
-    """Add to ``out`` the cells that an arm sweeps as it turns from a bearing.
-
-    Args:
-        polar: Polar coordinates of the cells, see :func:`_polar`.
-        at: Bearing of the gripper at the start [rad].
-        turn: Angle of the turn, positive to the left [rad].
-        farthest: Radius of the swept sector [m].
-        out: Written, (n,).
-    """
-    for i in range(out.shape[0]):
-        if out[i] or polar[0, i] > farthest:
-            continue
-        ahead = polar[1, i] - at if turn >= 0.0 else at - polar[1, i]
-        while ahead < 0.0:
-            ahead += math.tau
-        while ahead >= math.tau:
-            ahead -= math.tau
-        slack = polar[2, i]
-        out[i] = ahead <= abs(turn) + slack or ahead >= math.tau - slack
-
-
-@lru_cache(maxsize=32)
-def _polar(x: float, y: float) -> FloatArray:
-    """Return distance [m] and bearing [rad] of each cell from a base, (3, n).
-
-    The last row is the angle of :data:`MARGIN_M` at that distance [rad].
-    """
-    # Results of NumPy's functions differ between CPUs; those of ``math`` do not.
-    across, deep = (
-        [(i + 0.5) * _CELL_M for i in range(-count // 2, count // 2)]
-        for count in (_ACROSS, _DEEP)
-    )
-    away = [(u - x, v - y) for v in deep for u in across]
-    radius = [max(math.hypot(u, v), 1e-6) for u, v in away]
-    bearing = [math.atan2(v, u) for u, v in away]
-    return np.array(
-        [radius, bearing, [math.asin(min(1.0, MARGIN_M / r)) for r in radius]]
-    )
+        tcp, polar = arm.tcp_pose(), polar_of(base.x, base.y)
+        clip(polar, base.x, base.y, tcp, arm.state[0, 0], stops, beyond_m, cells)

@@ -5,21 +5,21 @@ The step loop in ``env`` advances the physics. Except for successful ``reach`` a
 ``lift``, the robot is parked with an empty gripper afterwards, also after a failure.
 """
 
-import math
 from collections.abc import Callable, Generator
-from dataclasses import replace
 
 import numpy as np
 
 from lemma.core.engine import mujoco
-from lemma.core.poses import Pose2, wrap
+from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion, largest_turn
+from lemma.motion.joint import Joint, carry, pair_up
 from lemma.motion.leaving import Leaving
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand, between
 from lemma.motion.obstacles import Obstacles
 from lemma.motion.outcome import Outcome, SkillFailure, SkillResult, has_fallen
 from lemma.motion.reservations import Reservations, Verdict
+from lemma.motion.stands import as_it_turns, withdrawal
 from lemma.motion.staying import HOME_RAD, StayingArms
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
@@ -27,9 +27,7 @@ from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.kind import Grasp
 from lemma.scene.objects.stick import STICK_GRASP_HEIGHT_M
-from lemma.scene.spec import RobotPlacement
-from lemma.tasks.drags import withdrawn
-from lemma.tasks.subtask import GroundedSubTask, Primitive
+from lemma.tasks.subtask import JOINT, GroundedSubTask, Primitive
 
 Skill = Generator[None, None, SkillResult]
 
@@ -43,7 +41,6 @@ _MIND_TICKS = 5
 _MEETING_M = 0.05
 _MEETING_M_S = 0.1
 """Speed at which the stick makes contact: a faster stick would knock the cube away."""
-_ASIDE_M = 0.03
 _HOVER_M = 0.05
 _LIFT_M = 0.15
 _PRESS_M = 0.0005
@@ -67,6 +64,8 @@ class SkillRunner:
         self._obstacles = Obstacles(arms)
         self.leaving = Leaving(arms, self.reservations)
         self.staying = StayingArms(arms, self.reservations, self._obstacles)
+        self.joints: dict[str, Joint] = {}
+        """Joint sub-tasks under way, by each of their robots."""
 
     def feel(self, arm: ArmMotion, target: Pose2 | None, held: str | None) -> None:
         """Set the obstacles of an arm; see :meth:`.Obstacles.around`."""
@@ -87,6 +86,11 @@ class SkillRunner:
         if self.reservations.waits:
             self.reservations.judge(busy)
 
+    def pair_up(self, subtask: GroundedSubTask) -> Joint | None:
+        """Return who carries out a joint sub-task, and how; see :func:`.pair_up`."""
+        thing = self.surface(subtask.pick)[1] if subtask.primitive in JOINT else None
+        return pair_up(subtask, self.scene, thing)
+
     def _enter(
         self, arm: ArmMotion, *goals: Pose2, stick: bool
     ) -> Generator[None, None, bool]:
@@ -98,8 +102,17 @@ class SkillRunner:
         Raises:
             SkillFailure: A deadlock, or the wait was too long.
         """
+        name, table = arm.robot.name, self.reservations
+        return (
+            yield from self.wait_for(arm, lambda: table.ask(name, goals, stick=stick))
+        )
+
+    def wait_for(
+        self, arm: ArmMotion, ask: Callable[[], bool]
+    ) -> Generator[None, None, bool]:
+        """Wait until an arm has the sectors that it asks for; see :meth:`_enter`."""
         name, table, since = arm.robot.name, self.reservations, self.scene.time_s
-        while not table.ask(name, goals, stick=stick):
+        while not ask():
             wait = table.waits[name]
             if wait.verdict is Verdict.FAIL:
                 raise SkillFailure(
@@ -159,6 +172,8 @@ class SkillRunner:
 
     def _begin(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:
         """Reserve the first stage, or all stages if the skill makes no reservations."""
+        if subtask.primitive in JOINT:
+            return
         stick = self.surface(subtask.pick)[1] == STICK
         asks = SKILLS[subtask.primitive] in (SkillRunner.move, SkillRunner.prepare)
         goals = (subtask.pick,) if asks else (subtask.pick, subtask.place)
@@ -173,7 +188,7 @@ class SkillRunner:
         """Hold the open gripper over the object at the pick pose."""
         moves = Moves(arm)
         found, grip_m = self.what_to_pick(subtask.pick)
-        subtask = _as_it_turns(subtask, arm)
+        subtask = as_it_turns(subtask, arm)
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         top_m = grip_m - _grasp_of(found).height_m + kind_of(found).height_m
         low = stand_at(subtask.pick, top_m + _HOVER_M)
@@ -188,7 +203,7 @@ class SkillRunner:
         """Pick up the object at the pick pose, and hold it there."""
         moves = Moves(arm)
         held, grip_m = self.what_to_pick(subtask.pick)
-        subtask = _as_it_turns(subtask, arm)
+        subtask = as_it_turns(subtask, arm)
         low = stand_at(subtask.pick, grip_m)
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         for pose in (low, over):
@@ -207,7 +222,7 @@ class SkillRunner:
         self, arm: ArmMotion, subtask: GroundedSubTask, held: str, grip_m: float
     ) -> Motion:
         moves = Moves(arm)
-        subtask = _as_it_turns(subtask, arm)
+        subtask = as_it_turns(subtask, arm)
         low = stand_at(subtask.pick, grip_m)
         over = stand_at(subtask.pick, max(grip_m, TRAVEL_HEIGHT_M))
         put = self._put_down(subtask.place, held, grip_m)
@@ -248,7 +263,7 @@ class SkillRunner:
         """Grasp the stick at the pick pose, and push or pull a cube with it."""
         moves = Moves(arm)
         held, _ = self._stick_to_pick(subtask)
-        subtask = _as_it_turns(subtask, arm)
+        subtask = as_it_turns(subtask, arm)
         low = stand_at(subtask.pick, STICK_GRASP_HEIGHT_M)
         over = stand_at(subtask.pick, TRAVEL_HEIGHT_M)
         start = stand_at(subtask.pick, DRAG_HEIGHT_M)
@@ -266,7 +281,7 @@ class SkillRunner:
         yield from moves.to(end, contact=True)
         moves.check_held()
         last = end
-        for stand in _withdrawal(subtask.primitive, arm.robot.placement, start, end):
+        for stand in withdrawal(subtask.primitive, arm.robot.placement, start, end):
             if arm.solve_posture(top_down(*stand)) is not None:
                 yield from moves.to(stand, contact=True)
                 last = stand
@@ -354,6 +369,7 @@ SKILLS.add(Primitive.PREPOKE, SkillRunner.prepare)
 SKILLS.add(Primitive.POKE, SkillRunner.drag)
 SKILLS.add(Primitive.REACH, SkillRunner.reach)
 SKILLS.add(Primitive.LIFT, SkillRunner.lift)
+SKILLS.add(Primitive.CARRY, carry)
 _STAYS = (Primitive.REACH, Primitive.LIFT)
 """After these the arm stays where it is, and holds its object."""
 
@@ -361,40 +377,3 @@ _STAYS = (Primitive.REACH, Primitive.LIFT)
 def stand_at(pose: Pose2, z: float) -> Stand:
     """Return the waypoint over a pose on the table, at height ``z`` [m]."""
     return (pose.x, pose.y, z, pose.yaw)
-
-
-def _withdrawal(
-    primitive: Primitive, robot: RobotPlacement, start: Stand, end: Stand
-) -> list[Stand]:
-    """Return waypoints that move the stick off the cube, so that fingers fit around it.
-
-    A hook is pushed out beyond the cube and then moved aside; a head is drawn back.
-    """
-    poking = primitive is Primitive.POKE
-    # The direction of the stick, from the gripper to the hook.
-    sign = 1.0 if poking else -1.0
-    bearing = math.atan2(sign * (end[1] - start[1]), sign * (end[0] - start[0]))
-    left = withdrawn(primitive, robot, Pose2(end[0], end[1], bearing))
-    back = (left.x, left.y, end[2], end[3])
-    if poking:
-        return [back]
-    # The bar of the hook lies to the left of the handle: free it to the right.
-    aside = left @ Pose2(0.0, -_ASIDE_M)
-    return [back, (aside.x, aside.y, end[2], end[3])]
-
-
-def _as_it_turns(subtask: GroundedSubTask, arm: ArmMotion) -> GroundedSubTask:
-    """Return the sub-task with pi added to both yaws, if that turns the arm less.
-
-    The grasp is symmetric under half a turn. The object must still rotate from pick to
-    place as in the sub-task, so either both yaws change or neither.
-    """
-    gripper = arm.tcp_pose()
-    turned = math.pi + subtask.pick.yaw - math.atan2(gripper[1, 0], gripper[0, 0])
-    if abs(wrap(turned)) >= 0.5 * math.pi:
-        return subtask
-    return replace(
-        subtask,
-        pick=replace(subtask.pick, yaw=subtask.pick.yaw + math.pi),
-        place=replace(subtask.place, yaw=subtask.place.yaw + math.pi),
-    )

@@ -89,7 +89,7 @@ class StayingArms:
         for wait in self._reservations.waits.values():
             for robot in wait.holders if now_s - wait.since_s >= PATIENCE_S else ():
                 if robot in self._ways and self._ways[robot] is None:
-                    self._ways[robot] = self._go_home(self._arms[robot])
+                    self._ways[robot] = self.go_home(self._arms[robot])
         moving = []
         for robot, way in tuple(self._ways.items()):
             if way is not None:
@@ -102,7 +102,7 @@ class StayingArms:
                     moving.append(robot)
         return tuple(moving)
 
-    def _go_home(self, arm: ArmMotion) -> Motion:
+    def go_home(self, arm: ArmMotion) -> Motion:
         """Raise the arm, and go home with the held object."""
         self._reservations.ask_for_home(arm.robot.name)
         held = self._scene.held().get(arm.robot.name)

@@ -168,6 +168,13 @@ class GroundedOption:
     """tau, the predicted duration [s]."""
     reluctance_s: float = 0.0
     """Penalty that is added to the duration when plans are compared [s]."""
+    theirs: GroundedSubTask | None = None
+    """The part of the partner in a joint sub-task; None for other sub-tasks."""
+
+    @property
+    def partner(self) -> str:
+        """The second robot of a joint sub-task; empty for other sub-tasks."""
+        return "" if self.theirs is None else self.theirs.robot
 
 
 class SceneGeometry:

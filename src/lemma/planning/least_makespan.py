@@ -6,7 +6,8 @@ from typing import Any
 
 from ortools.sat.python import cp_model
 
-from lemma.planning.schedule import CS, HORIZON_S, Job, Line, Schedule, are_near
+from lemma.planning.lines import Line, are_near
+from lemma.planning.schedule import CS, HORIZON_S, Job, Schedule
 
 _WORTH = 10_000
 """Factor by which utilities are scaled before they are rounded for the solver."""
@@ -90,9 +91,10 @@ def _exclude(
                 )
                 for i, k in ((0, 3), (0, 1), (1, 2))
             ]
-            busy.setdefault(robot, []).append(spans[0])
-            for line, span in zip(job.lines[robot], spans[1:], strict=True):
-                stays.append((m, robot, line, span))
+            for name in job.team(robot):
+                busy.setdefault(name, []).append(spans[0])
+                for line, span in zip(job.lines[name], spans[1:], strict=True):
+                    stays.append((m, name, line, span))
     for of_one in busy.values():
         model.add_no_overlap(of_one)
     for (m, robot, line, span), (k, other, too, span_too) in combinations(stays, 2):

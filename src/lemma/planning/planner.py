@@ -129,6 +129,8 @@ def find_plan(
             step = grounder.ground(subtask, state)
             if step is None or elapsed + step.duration_s > limit_s:
                 continue
+            if step.partner and step.partner not in robots:
+                continue
             if step.after.key in done:
                 continue
             count += 1

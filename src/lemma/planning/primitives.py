@@ -1,7 +1,8 @@
 """Primitives: one record each, with skill, grounding, candidates and language.
 
 The paper's six come first, in the order of their numbers in action spaces and trained
-weights, then ``reach`` and ``lift`` of the ladder, then those of users.
+weights, then ``reach`` and ``lift`` of the ladder, ``carry`` of two robots, then those
+of users.
 """
 
 import math
@@ -12,6 +13,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
 from lemma.motion.skills import SKILLS, SkillMotion
+from lemma.planning.carrying import ground_carry, is_carried, why_not_carry
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.symbolic_state import TABLE, SymbolicState, across_label
 from lemma.scene.objects.cube import CUBE
@@ -265,6 +267,13 @@ def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTas
             yield SubTask(robot, Primitive.MOVE, wish.item, place)
 
 
+def _propose_carry(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+    """Propose to carry what two robots carry, whoever reaches its middle."""
+    if is_carried(wish.item):
+        for place in wish.places:
+            yield SubTask(robot, Primitive.CARRY, wish.item, place)
+
+
 def _propose_hand(primitive: Primitive) -> Candidates:
     """Return a function that proposes ``reach`` or ``lift`` of the wish's object."""
 
@@ -296,6 +305,8 @@ def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
         return None if place in regions else f"The stick cannot be put on {place}."
     if pick not in now.supports:
         return f"The {pick} is fixed to the table."
+    if is_carried(pick):
+        return f"One hand cannot hold the {pick}. Two robots carry it."
     if place == pick or (place not in regions and kind_of(place).support_m is None):
         return f"The {pick} cannot be put on {place}."
     for name in (pick, place):
@@ -391,3 +402,14 @@ for _hand, _phrase in (
             why_not=_why_not_hand,
         ),
     )
+PRIMITIVES.add(
+    Primitive.CARRY,
+    PrimitiveSpec(
+        name=Primitive.CARRY,
+        phrase="{robot}: carry the {pick} onto the {place} with your partner",
+        skill=SKILLS[Primitive.CARRY],
+        ground=ground_carry,
+        candidates=_propose_carry,
+        why_not=why_not_carry,
+    ),
+)

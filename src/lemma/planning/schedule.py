@@ -5,23 +5,21 @@ gripper has lifted its object; after :data:`PLACED` it has released it and the a
 home. A sub-task begins after all objects that it touches have been put down, and places
 its object after the support is there. A robot does one sub-task at a time. Two stages
 of different robots, picking or placing, exclude each other if the lines from base to
-gripper come closer than :data:`APART_M`, because the sectors that the arms reserve
-would then overlap.
+gripper come closer than :data:`.lines.APART_M`, because the sectors that the arms
+reserve would then overlap.
 
 The schedule of least makespan extends the paper's allocation by times: the binary v
 assigns each sub-task to one robot, sum tau v <= T_max, and among the schedules of least
 makespan the one with the highest utility sum u v is chosen.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from lemma.core.poses import Pose2
-from lemma.motion.reservations import MARGIN_M
 from lemma.planning.geometry import GroundedOption
 from lemma.planning.grounding import GeometricGrounder
+from lemma.planning.lines import Line, are_near
 from lemma.planning.planner import Plan, utility
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import kind_of
@@ -33,8 +31,6 @@ PICKED = 0.41
 """Fraction of its duration after which a sub-task has picked; mean of 38 executions."""
 PLACED = 0.79
 """Fraction of its duration after which a sub-task has its effect; mean of the same."""
-APART_M = 2 * MARGIN_M
-"""Smallest distance between the lines from base to gripper of two busy arms [m]."""
 HORIZON_S = 100.0
 """T_max: largest summed duration (paper, section IV) [s]."""
 CS = 100
@@ -42,7 +38,6 @@ CS = 100
 _STAGES = (0, 1)
 """Picking and placing; each stage ends when the next one begins."""
 
-Line = tuple[Pose2, Pose2]
 Stay = tuple[int, int, Line]
 """A stage of a sub-task: start and end [1/100 s], and the line from base to gripper."""
 
@@ -62,7 +57,13 @@ class Job:
     """Earlier sub-tasks that it depends on: ``"pick"`` to begin, or ``"place"`` to put
     its object down."""
     lines: Mapping[str, tuple[Line, Line]]
-    """Lines from base to gripper by robot, as it picks and as it places [m]."""
+    """Lines from base to gripper by robot, as it picks and as it places [m]. Those of a
+    partner as well."""
+
+    def team(self, robot: str) -> tuple[str, ...]:
+        """Return the robots that are busy if a robot does it: it, and its partner."""
+        partner = self.options[robot].partner
+        return (robot, partner) if partner else (robot,)
 
     def times(self, robot: str) -> tuple[int, ...]:
         """Return begin (0), picked, effect and end, relative to the begin [1/100 s]."""
@@ -90,6 +91,14 @@ class Schedule:
             stage: 0: begin, 1: picked, 2: effect, 3: end.
         """
         return self.starts[job] + self.jobs[job].times(self.robots[job])[stage]
+
+    def team(self, job: int) -> tuple[str, ...]:
+        """Return who is busy with a sub-task: one robot, or two."""
+        return self.jobs[job].team(self.robots[job])
+
+    def share(self, job: int, other: int) -> bool:
+        """Whether a robot is busy with both of two sub-tasks."""
+        return bool({*self.team(job)} & {*self.team(other)})
 
     @property
     def status(self) -> str:
@@ -149,8 +158,12 @@ class Schedule:
                         for k in range(m)
                         for i in _STAGES
                         for other in _STAGES
-                        if self.robots[k] != self.robots[m]
-                        and are_near(self.stays(m)[i][2], self.stays(k)[other][2])
+                        if not self.share(k, m)
+                        and any(
+                            are_near(mine[2], theirs[2])
+                            for mine in self.stays(m)[i::2]
+                            for theirs in self.stays(k)[other::2]
+                        )
                     ],
                 }
             )
@@ -191,8 +204,7 @@ class Schedule:
 
     def _holds_up(self, k: int, m: int) -> bool:
         """Return whether m could begin earlier if k ended earlier."""
-        job, robot = self.jobs[m], self.robots[m]
-        same = self.robots[k] == robot
+        job, same = self.jobs[m], self.share(k, m)
         follows = same and self.at(k, 3) == self.starts[m]
         stage = {"pick": 0, "place": 1}.get(job.needs.get(k, ""))
         needed = stage is not None and self.at(k, 2) == self.at(m, stage)
@@ -210,9 +222,16 @@ class Schedule:
         )
 
     def stays(self, job: int) -> list[Stay]:
-        """Return the stages in which a sub-task excludes others."""
-        lines = self.jobs[job].lines[self.robots[job]]
-        return [(self.at(job, i), self.at(job, i + 1), lines[i]) for i in _STAGES]
+        """Return the stages in which a sub-task excludes others.
+
+        Both stages of its robot come first, then those of a partner.
+        """
+        lines = self.jobs[job].lines
+        return [
+            (self.at(job, i), self.at(job, i + 1), lines[robot][i])
+            for robot in self.team(job)
+            for i in _STAGES
+        ]
 
     def faults(self) -> list[str]:
         """Return descriptions of all violated constraints; empty if there are none."""
@@ -222,7 +241,7 @@ class Schedule:
                 if self.at(m, 0 if why == "pick" else 1) < self.at(k, 2):
                     found.append(f"{m} does not wait for {k}")
             for k in range(m):
-                same = self.robots[k] == self.robots[m]
+                same = self.share(k, m)
                 if same and _meet(*(self.at(i, e) for i in (k, m) for e in (0, 3))):
                     found.append(f"{self.robots[m]} does {k} and {m} at once")
                 clash = any(
@@ -238,30 +257,6 @@ class Schedule:
 def _meet(a: int, b: int, c: int, d: int) -> bool:
     """Return whether the open intervals (a, b) and (c, d) overlap."""
     return a < d and c < b
-
-
-def are_near(one: Line, another: Line) -> bool:
-    """Return whether two lines from base to gripper are closer than :data:`APART_M`."""
-    for line, other in ((one, another), (another, one)):
-        if any(_distance_m(end, other) < APART_M for end in line):
-            return True
-    sides = [
-        [_side(line, end) > 0.0 for end in other]
-        for line, other in ((one, another), (another, one))
-    ]
-    return all(a != b for a, b in sides)
-
-
-def _side(line: Line, point: Pose2) -> float:
-    (a, b), (x, y) = (line[0].xy, line[1].xy), point.xy
-    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-
-
-def _distance_m(point: Pose2, line: Line) -> float:
-    (ax, ay), (bx, by), (x, y) = (pose.xy for pose in (*line, point))
-    length = max((bx - ax) ** 2 + (by - ay) ** 2, 1e-9)
-    t = min(1.0, max(0.0, ((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length))
-    return math.hypot(x - ax - t * (bx - ax), y - ay - t * (by - ay))
 
 
 def predecessors(
@@ -322,15 +317,17 @@ def pose_jobs(
         for robot in names:
             given = replace(step.subtask, robot=robot)
             option = grounder.ground(given, now)
-            if option is not None and goal.permits(given, now.has):
+            if option is None or not goal.permits(given, now.has):
+                continue
+            # A pair is one option, whichever of the two is given the order.
+            if not option.partner or robot == step.subtask.robot:
                 options[robot] = option
-        lines = {
-            robot: (
-                (grounder.robots[robot].base, option.grounded.pick),
-                (grounder.robots[robot].base, option.grounded.place),
-            )
-            for robot, option in options.items()
-        }
+        lines = {}
+        for option in options.values():
+            for one in (option.grounded, option.theirs):
+                if one is not None:
+                    base = grounder.robots[one.robot].base
+                    lines[one.robot] = ((base, one.pick), (base, one.place))
         worth = {robot: utility(of, now, goal) for robot, of in options.items()}
         jobs.append(Job(step.subtask, options, worth, needed, lines))
         now = step.after
@@ -360,15 +357,16 @@ def in_order(
         times, first = jobs[m].times(who[m]), 0
         for k, why in jobs[m].needs.items():
             first = max(first, schedule.at(k, 2) - times[0 if why == "pick" else 1])
-        first = max([first, *(schedule.at(k, 3) for k in placed if who[k] == who[m])])
-        lines = jobs[m].lines[who[m]]
+        shared = [k for k in placed if schedule.share(k, m)]
+        first = max([first, *(schedule.at(k, 3) for k in shared)])
+        lines = [jobs[m].lines[robot] for robot in jobs[m].team(who[m])]
         others = [
             (i, entered, left)
             for k in placed
-            if who[k] != who[m]
+            if k not in shared
             for entered, left, line in schedule.stays(k)
             for i in _STAGES
-            if are_near(lines[i], line)
+            if any(are_near(mine[i], line) for mine in lines)
         ]
         first = _after_others(times, first, others)
         starts[m] = first

@@ -55,7 +55,8 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
         add_camera(world, f"{name}/camera", pose, fovy)
         _set_actuation(world, name, ARMS[robot.arm], actuation)
     for placed in spec.objects:
-        add_object(world, placed.entity, placed.pose, placed.mass_kg)
+        rests_m = spec.rests_m(placed)
+        add_object(world, placed.entity, placed.pose, placed.mass_kg, rests_m)
     return world.compile()
 
 

@@ -1,7 +1,7 @@
 """Specification of a scene: frozen data, no physics."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from lemma.core.arguments import known, real
@@ -183,6 +183,13 @@ class SceneSpec:
 
         return regions_of(tuple((r.arm, r.base) for r in self.robots), self.gap_m)
 
+    def rests_m(self, placed: ObjectPlacement) -> float:
+        """Return the height of what an object lies on at the beginning [m].
+
+        That is the table, or a tray if its middle is over the part that carries it.
+        """
+        return load_height_m(placed, self.objects)
+
     def placement(self, name: str) -> ObjectPlacement:
         """Return the object called ``name``.
 
@@ -193,6 +200,22 @@ class SceneSpec:
             if placed.name == name:
                 return placed
         raise UnknownNameError("object in this scene", name, self.object_names)
+
+
+def load_height_m(placed: ObjectPlacement, objects: Iterable[ObjectPlacement]) -> float:
+    """Return the height of the tray that an object begins on; 0 for the table [m].
+
+    Args:
+        placed: The object.
+        objects: All objects on the table.
+    """
+    for other in objects:
+        kind = other.entity.kind
+        if kind.carried is None or not placed.entity.kind.cargo or other == placed:
+            continue
+        if placed.pose.distance(other.pose) < (kind.support_m or 0.0):
+            return kind.height_m
+    return 0.0
 
 
 def _check_gap(gap: object) -> None:

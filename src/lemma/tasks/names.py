@@ -43,6 +43,8 @@ FAMILIES = (
     "bridge",
 )
 """The families of the suite ``teams``, for three and four robots."""
+UNLISTED = ("carry",)
+"""Families without frozen lists, which are in no suite."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))

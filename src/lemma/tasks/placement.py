@@ -37,7 +37,7 @@ from lemma.tasks.drags import (
 )
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.teams.coalitions import is_carried, needed
 from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
 
 _DRAWS = 2048
@@ -148,7 +148,8 @@ class ObjectPlacer:
         if any((o.kind, o.color) == (kind, color) for o in self.objects):
             raise SamplingError(f"A task asks for a second {color} {kind}.")
         wanted = zone if isinstance(zone, Zone) else Zone.where(zone)
-        pose, chosen = self._find(record, wanted), color or free[0]
+        draw, chosen = wanted.draw, color or free[0]
+        pose = draw(self.rng).rounded() if draw else self._find(record, wanted)
         free[:] = [left for left in free if left != chosen]
         placed = ObjectPlacement(kind, chosen, pose, mass_kg)
         self.objects.append(placed)
@@ -284,7 +285,8 @@ class ObjectPlacer:
         team = range(len(self.robots))
         excluded = goal.rule is not None and goal.rule.robot is not None
         there = needed(self.territory, self.objects, goal)
-        if len(team) > 2 and len(there) < len(team) - excluded:
+        joint = len(team) > 2 or any(is_carried(on.top) for on in goal.placements)
+        if joint and len(there) < len(team) - excluded:
             raise PlacementError("team without one robot")
         for robot in team:
             if self._could_push_towers(robot, goal):

@@ -28,6 +28,7 @@ from lemma.tasks.teams.layouts import (
     APART_M,
     LATERAL_M,
     LAYOUTS,
+    PAIR,
     SHARED_WIDTH_M,
     YAW_RAD,
     apart_m,
@@ -247,7 +248,8 @@ def _arranged(
 def _crowded(instance: Instance) -> Iterator[str]:
     """Yield sentences about objects that are too close to others."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
-    objects = instance.scene.objects
+    # An object on a tray is above all others.
+    objects = [o for o in instance.scene.objects if not instance.scene.rests_m(o)]
     for i, one in enumerate(objects):
         for other in objects[i + 1 :]:
             kind, near = one.entity.kind, other.entity.kind
@@ -266,7 +268,7 @@ def _crowded(instance: Instance) -> Iterator[str]:
 def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[str]:
     """Yield sentences about robots in wrong places."""
     robots, phrases = instance.scene.robots, robot_phrases(instance.scene.robots)
-    if len(robots) > 2:
+    if task.layout != PAIR:
         if not LAYOUTS[task.layout].allows(robots):
             yield f"The robots do not stand as in the layout {task.layout}."
         return

@@ -15,7 +15,7 @@ from lemma.tasks.language.bank import say_rule
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import Task
-from lemma.tasks.teams.layouts import LAYOUTS, Layout, place_pair
+from lemma.tasks.teams.layouts import LAYOUTS, PAIR, Layout, place_pair
 
 _ATTEMPTS = 400
 
@@ -120,7 +120,7 @@ def _place_team(
         PlacementError: They do not fit.
     """
     gap_m = None
-    if len(team) == 2:
+    if task.layout == PAIR:
         there, gap_m = place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
     else:
         placed = LAYOUTS[task.layout].place(team, rng)

@@ -12,9 +12,10 @@ from lemma.core.poses import Pose2
 class Primitive(StrEnum):
     """A primitive.
 
-    The members are the paper's six (section IV) and two of the ladder, in the order of
-    their numbers in action spaces and trained weights. ``Primitive("push")`` also finds
-    primitives that users have added to :data:`lemma.planning.primitives.PRIMITIVES`.
+    The members are the paper's six (section IV), two of the ladder and one of teams, in
+    the order of their numbers in action spaces and trained weights.
+    ``Primitive("push")`` also finds primitives that users have added to
+    :data:`lemma.planning.primitives.PRIMITIVES`.
     """
 
     MOVE = "move"
@@ -33,6 +34,8 @@ class Primitive(StrEnum):
     """Hold the open gripper over an object, and stay there."""
     LIFT = "lift"
     """Pick an object up, and stay there with it."""
+    CARRY = "carry"
+    """Carry an object by one handle, while a second robot holds the other handle."""
 
     @classmethod
     def _missing_(cls, value: object) -> "Primitive":
@@ -136,6 +139,8 @@ class SubTask:
 
 
 STOP = SubTask("", Primitive.STOP)
+JOINT = (Primitive.CARRY,)
+"""Sub-tasks of one robot that take a second one, its partner, as well."""
 PAPER_PRIMITIVES = tuple(Primitive)[:6]
 """The paper's six; heads of trained models have one output for each."""
 

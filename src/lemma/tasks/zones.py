@@ -65,6 +65,8 @@ class Zone:
     """Robots that cannot reach the zone. See :meth:`Territory.keeps_off`."""
     tool: bool = False
     """Whether they cannot reach it even with the stick."""
+    draw: Callable[[np.random.Generator], Pose2] | None = None
+    """Draws a pose; None if poses are drawn on the whole table and checked."""
     says: str = ""
     """Description for humans: "where ...", with indices of robots in braces."""
 

@@ -46,6 +46,7 @@ _STICK_TRIES = 3
 @attack("control", attempts=6, cheap=True)
 def tilted_move(trial: ControlTrial) -> None:
     """Picks and places with a hand that leans outwards, or drops."""
+    _require_one_hand(trial)
     for on in trial.goal.placements:
         trial.require_near(on.bottom, _place_m(trial, on) + _DOUBT_M)
     for on in trial.goal.placements:
@@ -56,6 +57,7 @@ def tilted_move(trial: ControlTrial) -> None:
 @attack("control", attempts=3, cheap=True)
 def rake(trial: ControlTrial) -> None:
     """Pulls cubes nearer with the fingertips of a leaning hand."""
+    _require_one_hand(trial)
     for name in trial.goal.entities:
         # An object that cannot be touched can neither be raked nor built upon.
         disc_m, support_m = kind_of(name).disc_m, trial.support_m(name)
@@ -87,6 +89,11 @@ def tilted_stick(trial: ControlTrial) -> None:
             fetch(trial, name, lean)
     for on in trial.goal.placements:
         _put_on(trial, on)
+
+
+def _require_one_hand(trial: ControlTrial) -> None:
+    """Give up where one hand cannot hold a thing; see :mod:`.control.handle`."""
+    trial.require(all(kind_of(on.top).carried is None for on in trial.goal.placements))
 
 
 def _place_m(trial: ControlTrial, on: On) -> float:

@@ -30,7 +30,13 @@ from numpy.typing import NDArray
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.scene.coasting import note_leads
-from lemma.scene.objects.contacts import LEFT, RIGHT, WATCH_M, find_touches
+from lemma.scene.objects.contacts import (
+    LEFT,
+    RIGHT,
+    WATCH_M,
+    find_touches,
+    handle_m,
+)
 from lemma.scene.objects.entity import HAND, STICK, kind_of
 from lemma.scene.objects.stick import GRASP_FROM_END_M
 from lemma.scene.scene import Scene
@@ -86,7 +92,7 @@ class StageEvents:
         self._motion = (self._data.qpos, self._data.qvel, self._data.site_xpos)
         self._at, self._hands = coasting.qpos_at, scene.tcp_sites
         sizes = [_size(scene, k) for k in range(count)]
-        self._sizes = np.array(sizes).reshape(-1, 2)
+        self._sizes = np.array(sizes).reshape(-1, 3)
         self._objects = (
             *(self._at, coasting.qvel_at, coasting.mass_at, self._hands, self._sizes),
             *(first, np.array([REST_M_S, REST_RAD_S])),
@@ -137,14 +143,19 @@ class StageEvents:
         return True
 
 
-def _size(scene: Scene, item: int) -> tuple[float, float]:
-    """Return the grasp position of an object along its x axis, and its extent [m]."""
+def _size(scene: Scene, item: int) -> tuple[float, float, float]:
+    """Return an object's grasp position along x, its extent and its handles [m].
+
+    Handles are to both sides of the middle, of what two robots carry; 0 if there are
+    none.
+    """
     coasting, model = scene.coasting, scene.model
     mine = coasting.owner == item
     # The distance of a corner is at most twice the largest coordinate.
     extent = model.geom_rbound[mine] + 2.0 * np.abs(model.geom_pos[mine]).max(axis=1)
-    along = GRASP_FROM_END_M if coasting.names[item] == STICK else 0.0
-    return along, float(extent.max())
+    name = coasting.names[item]
+    handle, along = handle_m(name), GRASP_FROM_END_M if name == STICK else 0.0
+    return along + handle, float(extent.max()), handle
 
 
 def _support(top: str, bottom: str, scene: Scene) -> tuple[float, float, float, float]:
@@ -190,7 +201,11 @@ def _note(  # noqa: PLR0913
             now[robots, k] |= _LED
         stirs[k] = _is_elsewhere(q, poses[k])
         for r in range(robots):
-            if _from_grasp(sites[hands[r]], q, sizes[k, 0]) < NEAR_M:
+            hand, handle = sites[hands[r]], sizes[k, 2]
+            near = _from_grasp(hand, q, sizes[k, 0]) < NEAR_M
+            if not near and handle > 0.0:
+                near = _from_grasp(hand, q, -handle) < NEAR_M
+            if near:
                 now[r, k] |= _NEAR
 
 
@@ -340,8 +355,10 @@ def _is_watched(  # noqa: PLR0913
     sizes: FloatArray,
 ) -> bool:
     """Return True if a hand, or a moved object, is near a standing object."""
+    handle = max(sizes[top, 2] if top >= 0 else 0.0, 0.0)
+    handle = max(sizes[bottom, 2] if bottom >= 0 else 0.0, handle)
     for hand in hands:
-        if _is_within(sites[hand], middle, WATCH_M):
+        if _is_within(sites[hand], middle, WATCH_M + handle):
             return True
     for k in range(len(at)):
         near = _is_within(qpos[at[k] : at[k] + 3], middle, WATCH_M + sizes[k, 1])

@@ -14,7 +14,7 @@ from dataclasses import replace
 from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
-from lemma.env.team.records import Done, Order, TeamState
+from lemma.env.team.records import Done, Order, TeamState, works_on
 from lemma.motion.leaving import ROOM_M
 from lemma.motion.outcome import SkillResult
 from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
@@ -67,8 +67,12 @@ class Team:
         return tuple(
             name
             for name in self.episode.simulation.arms
-            if name not in self.orders and self._rests.get(name, 0.0) <= now
+            if not self.works_on(name) and self._rests.get(name, 0.0) <= now
         )
+
+    def works_on(self, robot: str) -> str:
+        """Return the robot with whose order a robot is busy; see :func:`works_on`."""
+        return works_on(robot, self.orders)
 
     @property
     def waits_for(self) -> dict[str, tuple[str, ...]]:
@@ -136,7 +140,8 @@ class Team:
         robot, now_s = option.grounded.robot, self.episode.simulation.time_s
         self.episode.begin(option.grounded, self._leaving(option.grounded, option))
         self.orders[robot] = Order(
-            option.subtask, option.grounded, now_s, option, before
+            *(option.subtask, option.grounded, now_s, option, before),
+            partner=option.partner,
         )
 
     def order(
@@ -171,11 +176,14 @@ class Team:
         option = found if isinstance(found, GroundedOption) else None
         if grounded is not None and option is not None:
             option = _at(option, grounded)
-        needs = frozenset(self._needs(subtask) - settled)
         poses = grounded or (option.grounded if option else None)
         assert poses is not None
+        partner = self.episode.simulation.partner_of(poses)
+        busy = self.works_on(partner)
+        needs = frozenset(self._needs(subtask) - settled) | ({busy} if busy else set())
         self.orders[robot] = Order(
-            subtask, poses, start_s, option, expected, needs, grounded is not None
+            *(subtask, poses, start_s, option, expected, needs, grounded is not None),
+            partner,
         )
         if not needs:
             self.episode.begin(poses, self._leaving(poses, option))
@@ -285,6 +293,8 @@ class Team:
 
     def _ended(self, one: ExecutedSubTask) -> Done:
         order = self.orders.pop(one.grounded.robot)
+        if order.partner:
+            self._rests[order.partner] = one.start_s + self._least_s
         return self._end(
             Done(
                 one.grounded.robot,
@@ -293,6 +303,7 @@ class Team:
                 one.result,
                 one.start_s,
                 self._effects.pop(one.grounded.robot, None),
+                order.partner,
             )
         )
 
@@ -318,6 +329,9 @@ class Team:
         for robot in waiting:
             order = self.orders[robot]
             left = order.waits_for & (self.orders.keys() - settled)
+            # A partner must have ended, and not only had its effect.
+            busy = self.works_on(order.partner)
+            left |= {busy} if busy else set()
             if left:
                 self.orders[robot] = replace(order, waits_for=left)
                 continue
@@ -336,6 +350,7 @@ class Team:
             return self._end(Done(robot, order.subtask, None, found, now_s))
         if not order.own_poses and isinstance(found, GroundedOption):
             order = replace(order, option=found, grounded=found.grounded, before=state)
+            order = replace(order, partner=found.partner)
         self.episode.begin(order.grounded, self._leaving(order.grounded, order.option))
         self.orders[robot] = replace(order, waits_for=frozenset())
         return None

@@ -1,5 +1,6 @@
 """Records of the orders of a team, and of their results."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lemma.motion.outcome import SkillResult
@@ -25,6 +26,8 @@ class Order:
     """Robots whose effects must come first; the order begins when the set is empty."""
     own_poses: bool = False
     """Whether the poses are the policy's, so that the effect may differ."""
+    partner: str = ""
+    """The other robot of a joint sub-task, which it takes as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,8 @@ class Done:
     """Simulated time at which it began or was refused [s]."""
     effect_s: float | None = None
     """Time at which its effect was first seen [s]; None if unchecked before the end."""
+    partner: str = ""
+    """The other robot of a joint sub-task."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,3 +54,23 @@ class TeamState:
     orders: dict[str, Order]
     rests: dict[str, float]
     effects: dict[str, float]
+
+
+def works_on(robot: str, orders: Mapping[str, Order]) -> str:
+    """Return the robot with whose order a robot is busy; empty if it is free.
+
+    That is the robot itself, or the one whose partner it is. A joint order that still
+    waits has not taken its partner yet.
+
+    Args:
+        robot: Its name; may be empty.
+        orders: All orders by robot.
+    """
+    if not robot or robot in orders:
+        return robot
+    takers = (
+        name
+        for name, order in orders.items()
+        if order.partner == robot and not order.waits_for
+    )
+    return next(takers, "")

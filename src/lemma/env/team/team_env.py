@@ -48,7 +48,9 @@ class TeamEnv(LemmaEnv):
     A robot without an order waits, and so does one whose primitive is ``wait``, the
     number after those of :func:`~lemma.tasks.subtask.primitive_names`. ``stop`` of any
     robot ends the episode: busy robots finish, then it is judged. An order that cannot
-    be carried out raises no error: its robot is busy for a second.
+    be carried out raises no error: its robot is busy for a second. An order of
+    :data:`~lemma.tasks.subtask.JOINT` takes a second robot, and waits until that one is
+    free; if it is, its own order later in the same step is dropped.
 
     ``info`` additionally holds: ``duration_s`` of the step; ``free``, the robots that
     can be given orders; ``doing`` and ``waits_for`` by robot; ``ended``, the orders
@@ -120,6 +122,10 @@ class TeamEnv(LemmaEnv):
         stops, orders = self.read(action)
         start_s, ended = episode.elapsed_s, list[Done]()
         for subtask, grounded in orders:
+            commanded = subtask or grounded
+            if commanded is not None and team.works_on(commanded.robot):
+                # An order before it has taken the robot as a partner.
+                continue
             refused = team.order(subtask, grounded)
             ended += [refused] if refused else []
         ended += team.stop() if stops else team.advance()
@@ -170,7 +176,8 @@ class TeamEnv(LemmaEnv):
         found["free"] = free
         found["doing"] = {
             name: str(order.subtask or order.grounded.primitive)
-            for name, order in team.orders.items()
+            for name in self.robot_names
+            if (order := team.orders.get(team.works_on(name))) is not None
         }
         found["waits_for"] = waits_for
         found["ended"] = [

@@ -205,11 +205,13 @@ def worked_in(subtasks: Sequence[Mapping[str, Any]], robots: int) -> list[Worked
     ]
     return [
         Worked(
-            step["robot"],
+            robot,
             step["start_s"],
             end,
             step.get("waited_s") or 0.0,
             max((effects[i] for i in needed), default=0.0),
         )
         for step, end, needed in zip(ordered, ends, needs, strict=True)
+        for robot in (step["robot"], step.get("partner"))
+        if robot
     ]

@@ -6,7 +6,7 @@ cannot carry out is the strict end; leniently only that robot loses time. A line
 orders and their outcomes, so an episode can be executed again without its policy.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -60,11 +60,14 @@ class TeamStep(StepRecord):
     """Time of waiting for a sector [s]."""
     effect_s: float | None = None
     """Time at which its effect was first observed [s]."""
+    partner: str = ""
+    """The second robot of a joint sub-task; empty for other sub-tasks."""
 
     def fields(self) -> dict[str, Any]:
         """Return further fields of its record in the line."""
         effect_s = None if self.effect_s is None else round(self.effect_s, 3)
-        return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s}
+        partner = {"partner": self.partner} if self.partner else {}
+        return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s, **partner}
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +129,7 @@ class TeamRollout(Rollout):
             "free": free,
             "doing": {
                 name: Doing(note.subtask, note.since_s, waits.get(name, ()))
-                for name, note in self.notes.items()
+                for name, note in self._under_way()
             },
             "messages": tuple(self.messages),
             "own_views": own,
@@ -136,6 +139,13 @@ class TeamRollout(Rollout):
                 *common, **team_fields, episode=self.episode, team=self.team
             )
         return TeamInput(*common, **team_fields)
+
+    def _under_way(self) -> Iterator[tuple[str, _Note]]:
+        """Yield the busy robots, each with its order or that of which it is partner."""
+        yield from self.notes.items()
+        for name in self.instance.scene.robot_names:
+            if name not in self.notes and (leader := self.team.works_on(name)):
+                yield name, self.notes[leader]
 
     def carry_out(self, policy_input: Any, decision: Any) -> None:
         """Execute a policy's orders, or end the episode after a fault."""
@@ -178,6 +188,9 @@ class TeamRollout(Rollout):
 
     def _order(self, team_input: TeamInput, decision: Decision) -> None:
         subtask, robot = decision.subtask, decision.subtask.robot
+        if self.team.works_on(robot):
+            # Another order of this answer has taken it as its partner.
+            return
         poses = None if self.expert_poses else decision.grounded
         self.orders.append(_OrderRecord(self.asked - 1, subtask, poses))
         self.notes[robot] = _Note(
@@ -218,6 +231,7 @@ class TeamRollout(Rollout):
                 tuple(name for name in lost if name not in note.fallen),
                 self._waited_s(done.robot) - note.waited_s,
                 done.effect_s,
+                done.partner,
             )
             why = "" if result.ok else result.explanation
             self.steps.append(step)

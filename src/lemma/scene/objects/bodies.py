@@ -39,9 +39,13 @@ def resting_quaternion(yaw: float) -> tuple[float, float, float, float]:
 
 
 def add_object(
-    spec: mujoco.MjSpec, entity: Entity, pose: Pose2, mass_kg: float | None = None
+    spec: mujoco.MjSpec,
+    entity: Entity,
+    pose: Pose2,
+    mass_kg: float | None = None,
+    height_m: float = 0.0,
 ) -> mujoco.MjsBody:
-    """Add one object on the table to the world body.
+    """Add one object on the table or on a tray to the world body.
 
     An object that is not fixed to the table is a free body; its joint has its name.
 
@@ -51,6 +55,7 @@ def add_object(
         pose: World from object.
         mass_kg: Mass of an object that has another one than its kind, of one part [kg].
             It then has a skin of rubber, and dark rims, which are only visible.
+        height_m: Height of its support above the table [m].
 
     Returns:
         The body, which has the entity's name.
@@ -58,7 +63,7 @@ def add_object(
     kind, name = entity.kind, entity.name
     body = spec.worldbody.add_body(
         name=name,
-        pos=[pose.x, pose.y, kind.origin_m],
+        pos=[pose.x, pose.y, height_m + kind.origin_m],
         quat=resting_quaternion(pose.yaw),
     )
     if not kind.fixed:

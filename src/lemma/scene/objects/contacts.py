@@ -1,11 +1,14 @@
 """Grippers near objects, and contacts between parts of robots and objects."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.engine import mujoco
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.scene.objects.entity import kind_of
 
 LEFT, RIGHT = 2, 4
 """Bits of the finger pads; all other parts of a robot have the bit 1."""
@@ -35,6 +38,20 @@ def parts_of_robots(model: mujoco.MjModel, robots: list[str]) -> NDArray[np.int6
     return found
 
 
+def watched_m(names: Sequence[str]) -> FloatArray:
+    """Return how near to the middle of each object a hand is watched, (n,) [m]."""
+    return np.array([WATCH_M + handle_m(name) for name in names])
+
+
+def handle_m(name: str) -> float:
+    """Return how far handles are from the middle of what two robots carry [m].
+
+    It is 0 for everything else.
+    """
+    carried = kind_of(name).carried
+    return 0.0 if carried is None else abs(carried.handles[0].at.x)
+
+
 @kernel
 def is_near_or_moved(
     qpos: FloatArray,
@@ -42,6 +59,7 @@ def is_near_or_moved(
     sites: FloatArray,
     hands: NDArray[np.int64],
     seen: FloatArray,
+    watch_m: FloatArray,
 ) -> tuple[bool, bool]:
     """Return whether a gripper is near an object, and whether an object has moved.
 
@@ -51,6 +69,7 @@ def is_near_or_moved(
         sites: World positions of all sites, (nsite, 3) [m].
         hands: Site of each gripper's tool centre point, (robots,).
         seen: Positions at the last call, (objects, 3) [m]; updated.
+        watch_m: Distance within which a gripper is near, (objects,) [m].
     """
     near, moved = False, False
     for k in range(len(at)):
@@ -61,7 +80,7 @@ def is_near_or_moved(
             seen[k, 0], seen[k, 1], seen[k, 2] = x, y, z
         for hand in hands:
             dx, dy, dz = x - sites[hand, 0], y - sites[hand, 1], z - sites[hand, 2]
-            if dx * dx + dy * dy + dz * dz < WATCH_M * WATCH_M:
+            if dx * dx + dy * dy + dz * dz < watch_m[k] * watch_m[k]:
                 near = True
     return near, moved
 

@@ -104,6 +104,17 @@ class Grasp:
     """Pose of the gripper in the object's frame."""
 
 
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """How two grippers that point down carry an object at once, one at either end."""
+
+    handles: tuple[Grasp, Grasp]
+    """How each holds it."""
+    rest_m: float
+    """From its middle to where it rests on what it is put on, to both sides along x
+    [m]."""
+
+
 Builder = Callable[["mujoco.MjSpec", "mujoco.MjsBody", str], None]
 """Adds elements other than parts to an object's body. Its arguments are the MuJoCo
 specification of the scene, the body, and the object's name; all names that it adds must
@@ -155,6 +166,8 @@ class ObjectKind:
     the sum of both discs with room for fingers."""
     grasp: Grasp | None = None
     """The grasp; None if no gripper can hold it."""
+    carried: Carried | None = None
+    """How two robots carry it together; None for other kinds."""
     tops: tuple[Point, ...] = (_UP,)
     """Unit vectors in its frame that may point up when it stands on a face: six for a
     box, two for a cylinder."""

@@ -33,14 +33,14 @@ from lemma.tasks.language.template import (
     Template,
     only_goal,
 )
-from lemma.tasks.names import FAMILIES
+from lemma.tasks.names import FAMILIES, UNLISTED
 from lemma.tasks.subtask import added_phrase, primitive_names
 from lemma.tasks.teams.rule import Rule
 
 _WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 _FAMILIES = ("cube_on_pad", "cubes_on_pads", "cube_on_cube", "cubes_on_cubes")
 _LADDER = ("hand_over_cube", "cube_in_hand", "cube_on_pad_alone")
-_UNSEEN_BY_MODELS = (*_LADDER, *FAMILIES)
+_UNSEEN_BY_MODELS = (*_LADDER, *FAMILIES, *UNLISTED)
 """Tasks of the ladder and of teams on which no published model has been trained."""
 _PAPER_LINES = (
     *("move", "move_to_shared", "prehook", "hook", "prepoke", "poke", "stop"),
@@ -244,13 +244,14 @@ def sub_instruction(
     if primitive == "stop":
         return lines["stop"]
     added = added_phrase(primitive)
-    if primitive == "move" or added is not None:
+    if primitive in ("move", "carry") or added is not None:
         if pick is None or place is None:
             raise InvalidConfigError(
                 f"{primitive!r} needs pick and place, got pick={pick!r}, "
                 f"place={place!r}. Name both, such as 'red_cube' and 'shared'."
             )
-        line = added or lines["move_to_shared" if is_region(place) else "move"]
+        to_region = primitive == "move" and is_region(place)
+        line = added or lines["move_to_shared" if to_region else primitive]
         return line.format(robot=robot, pick=phrase(pick), place=phrase(place))
     if primitive in ("reach", "lift"):
         if pick is None:

@@ -24,6 +24,9 @@ from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.zones import OUTSIDE_M, REMOTE_M, SLIDE_M, Territory
 
+HANDLE_DISC_M = 0.07
+"""Radius of a disc around where a handle is grasped that covers all of it."""
+
 
 def needed(
     territory: Territory, objects: Sequence[ObjectPlacement], goal: Goal
@@ -106,6 +109,30 @@ def lack_of(
     return next(filter(None, map(whole.lack, goal.placements)), None)
 
 
+def is_carried(name: str) -> bool:
+    """Whether a thing is carried by two robots at once, each at one handle."""
+    return entity_named(name).kind.carried is not None
+
+
+def handles_beyond(
+    territory: Territory, robot: int, kind: ObjectKind, at: Pose2
+) -> set[int]:
+    """Return which handles of a carried thing a robot could not touch.
+
+    Args:
+        territory: Reach of the team.
+        robot: Which.
+        kind: Of the thing.
+        at: Where it lies.
+    """
+    if kind.carried is None:
+        return set()
+    ends = (at @ grasp.at for grasp in kind.carried.handles)
+    base, could = territory.robots[robot].base, territory.could(robot)
+    safe_m = could.radius_m(HANDLE_DISC_M) + OUTSIDE_M
+    return {k for k, end in enumerate(ends) if base.distance(end) >= safe_m}
+
+
 def _free_to_act(territory: Territory, goal: Goal) -> list[int]:
     """Return the robots of a team that the rule of a goal does not exclude."""
     excluded = goal.rule.robot if goal.rule is not None else None
@@ -143,6 +170,10 @@ class _Coalition:
     def lack(self, on: On) -> Lack | None:
         """Return what keeps the coalition from a part of a goal, if something does."""
         top, bottom = (self._placed[name] for name in (on.top, on.bottom))
+        if is_carried(on.top):
+            ends = (self._touching(top), self._touching(bottom))
+            able = all(map(self._has_both_handles, (top, bottom), (top, top)))
+            return None if able else Lack(on, tuple(ends[0]), tuple(ends[1]))
         row_m = self._row_m(but=(on.top, on.bottom))
         getters = self._touching(top) or self._pushing_together(top, row_m)
         # A cube that stands on one that is pushed slides or tips over where it stops.
@@ -170,6 +201,16 @@ class _Coalition:
         return not self._territory.robots[robot].overload("", top) or any(
             rim.entity.kind.height_m < top.entity.kind.height_m for rim in rims
         )
+
+    def _has_both_handles(self, at: ObjectPlacement, thing: ObjectPlacement) -> bool:
+        """Whether somebody could touch either handle of a thing that lies somewhere.
+
+        A hand at one handle does not raise the other one: the thing is as heavy as the
+        fingers hold by friction against its turn.
+        """
+        kind, robots = thing.entity.kind, self._robots
+        beyond = [handles_beyond(self._territory, r, kind, at.pose) for r in robots]
+        return bool(beyond) and not set.intersection(*beyond)
 
     def _touching(self, placed: ObjectPlacement) -> list[int]:
         """Return who could do anything to a thing with a hand and what it holds."""

@@ -122,6 +122,8 @@ class Layout:
         )
 
 
+PAIR = "pair"
+"""Layout of two robots that :func:`place_pair` stands face to face."""
 LAYOUTS: Registry[Layout] = Registry("layout", Layout)
 """Every layout by name."""
 
@@ -275,13 +277,25 @@ _NARROW = (0.25, 0.32)
 """Of the strips in a row and a square: 20 to 26 cm of two UR5."""
 
 LAYOUTS.add(
-    "pair",
+    PAIR,
     Layout(
-        name="pair",
+        name=PAIR,
         summary="Two robots stand face to face.",
         size=2,
         neighbors=((0, 1),),
         width=(0.12, 0.38),
+        orders=((0, 1), (1, 0)),
+        shape=_pair,
+    ),
+)
+LAYOUTS.add(
+    "wide_pair",
+    Layout(
+        name="wide_pair",
+        summary="Two robots stand face to face, too far apart to share a place.",
+        size=2,
+        neighbors=((0, 1),),
+        width=(-0.34, -0.15),
         orders=((0, 1), (1, 0)),
         shape=_pair,
     ),
