@@ -165,7 +165,7 @@ def test_the_truth_never_travels(served: PolicyServer) -> None:
     assert isinstance(greeting, Hello)
     assert asked.__struct_fields__ == ("inputs", "views")
     assert asked.inputs[0].__struct_fields__ == (
-        *("instruction", "robots", "view", "past"),
+        *("instruction", "robots", "view", "past", "hands"),
     )
     policy.close()
 

@@ -5,7 +5,7 @@ not normalized.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -170,22 +170,29 @@ SKILL_POSES = ActionLayout(
 :class:`~lemma.tasks.subtask.GroundedSubTask`."""
 
 
-def picks(task: str = "") -> tuple[str, ...]:
-    """Return the entities that a sub-task may pick, at tables of a task.
+def picks(kinds: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the entities that a sub-task may pick.
 
     These are :data:`PICKS`, then entities of kinds and colors that users registered.
     The index in the tuple is the number in an action.
+
+    Args:
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
     """
-    return (*PICKS, *extra_entities(task))
+    return (*PICKS, *extra_entities(kinds))
 
 
-def places(team_size: int = 2, task: str = "") -> tuple[str, ...]:
+def places(team_size: int = 2, kinds: Collection[str] = ()) -> tuple[str, ...]:
     """Return the entities and regions that a sub-task may place something on.
 
     :data:`PLACES`, then the regions that two robots of a larger team may share, then
     registered entities. The index in the tuple is the number in an action.
+
+    Args:
+        team_size: Number of robots.
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
     """
-    return (*PLACES, *pair_regions(team_size), *extra_entities(task))
+    return (*PLACES, *pair_regions(team_size), *extra_entities(kinds))
 
 
 def skill_space(team_size: int) -> spaces.Dict:
@@ -199,14 +206,19 @@ def skill_space(team_size: int) -> spaces.Dict:
     )
 
 
-def plan_space(team_size: int, task: str = "") -> spaces.Dict:
-    """Return the space of symbolic sub-tasks at tables of a task."""
+def plan_space(team_size: int, kinds: Collection[str] = ()) -> spaces.Dict:
+    """Return the space of symbolic sub-tasks.
+
+    Args:
+        team_size: Number of robots.
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
+    """
     return spaces.Dict(
         {
             "robot": spaces.Discrete(team_size),
             "primitive": spaces.Discrete(len(primitive_names())),
-            "pick": spaces.Discrete(len(picks(task))),
-            "place": spaces.Discrete(len(places(team_size, task))),
+            "pick": spaces.Discrete(len(picks(kinds))),
+            "place": spaces.Discrete(len(places(team_size, kinds))),
         }
     )
 
@@ -250,17 +262,22 @@ def decode_skill(action: Action, team_size: int) -> GroundedSubTask | None:
 
 
 def encode_plan(
-    subtask: SubTask | None, team_size: int = 2, task: str = ""
+    subtask: SubTask | None, team_size: int = 2, kinds: Collection[str] = ()
 ) -> dict[str, Any]:
     """Return the plan-level action for a symbolic sub-task, or ``stop`` for None.
+
+    Args:
+        subtask: The sub-task.
+        team_size: Number of robots.
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
 
     Raises:
         InvalidActionError: There is no such entity, or the argument is neither.
     """
     _check_type(subtask, SubTask)
     subtask = subtask or STOP
-    ends = (subtask.pick, picks(task)), (subtask.place, places(team_size, task))
-    for entity, valid in ends:
+    able, there = picks(kinds), places(team_size, kinds)
+    for entity, valid in ((subtask.pick, able), (subtask.place, there)):
         if entity not in valid:
             raise InvalidActionError(
                 f"No table ever has a {shown(entity)}. Valid: {', '.join(valid[1:])}."
@@ -268,13 +285,18 @@ def encode_plan(
     return {
         "robot": _robot_number(subtask.robot) if subtask.robot else 0,
         "primitive": primitive_names().index(subtask.primitive),
-        "pick": picks(task).index(subtask.pick),
-        "place": places(team_size, task).index(subtask.place),
+        "pick": able.index(subtask.pick),
+        "place": there.index(subtask.place),
     }
 
 
-def decode_plan(action: Action, team_size: int, task: str = "") -> SubTask:
+def decode_plan(action: Action, team_size: int, kinds: Collection[str] = ()) -> SubTask:
     """Return the symbolic sub-task that an action means.
+
+    Args:
+        action: An element of :func:`plan_space`.
+        team_size: Number of robots.
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
 
     Raises:
         InvalidActionError: The action is not in the space.
@@ -282,9 +304,9 @@ def decode_plan(action: Action, team_size: int, task: str = "") -> SubTask:
     check_keys(action, ("robot", "primitive", "pick", "place"), _HINT)
     robot = _number(action["robot"], "robot", _robot_names(team_size))
     primitive = _primitive(action["primitive"])
-    entity = picks(task)
+    entity = picks(kinds)
     pick = entity[_number(action["pick"], "pick", entity)]
-    entity = places(team_size, task)
+    entity = places(team_size, kinds)
     place = entity[_number(action["place"], "place", entity)]
     if primitive is Primitive.STOP:
         return STOP

@@ -80,7 +80,7 @@ class LemmaEnv(gymnasium.Env[Observation, Any]):
             tuple(range(config.team_size)),
             config.image_size,
             config.cameras,
-            config.task,
+            config.kinds,
         )
         self.observation_space = self._observer.space
         self.rewards = RewardMeter(config.reward, config.reward_discount)

@@ -18,6 +18,7 @@ from lemma.env.simulation import HORIZON_S, TICK_S
 from lemma.robots.ur.build import ARMS
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.cameras import CLOSE_PX
+from lemma.scene.objects.entity import known_entities
 from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.blind import check_blind, instruction
 from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
@@ -152,6 +153,11 @@ class EnvConfig:
     def team_size(self) -> int:
         """Robots of an instance."""
         return len(self.robots or TASKS[self.task].teams[0])
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of objects that this task has and others do not."""
+        return TASKS[self.task].kinds
 
     def _checked_team(self, robots: object) -> tuple[str, ...]:
         if not isinstance(robots, list | tuple) or not robots:
@@ -318,6 +324,14 @@ class InstanceSource:
                 f"Instance {instance.key} has the team {arms}, but this environment is "
                 f"for {self._config.robots or f'{count} robots'}. Choose another "
                 "index, or make the environment with robots=None."
+            )
+        counted = known_entities(self._config.kinds)
+        strange = [n for n in instance.scene.object_names if n not in counted]
+        if strange:
+            raise InvalidConfigError(
+                f"Instance {instance.key} has a {strange[0]}, which actions and "
+                f"observations of {self._config.task} do not count. Make the "
+                f"environment of {instance.task}."
             )
         kind = self._config.instruction
         text = instruction(instance, kind)

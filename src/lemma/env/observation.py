@@ -1,6 +1,6 @@
 """Observations: joints and the instruction, and cameras or the true state."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -99,7 +99,7 @@ class Observer:
         robots: tuple[int, ...],
         size: tuple[int, int],
         cameras: tuple[str, ...] | None = None,
-        task: str = "",
+        kinds: Collection[str] = (),
     ) -> None:
         """Define the space; OpenGL starts with the first image.
 
@@ -108,7 +108,7 @@ class Observer:
             robots: Indices of the observed robots.
             size: Width and height of camera images [px].
             cameras: Names of the cameras; those of these robots if None.
-            task: Task of the tables, whose objects the true state numbers.
+            kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
 
         Raises:
             UnknownNameError: No such mode.
@@ -122,7 +122,7 @@ class Observer:
         self._size = size
         self._names = tuple(map(robot_name, robots))
         self.cameras = self._names if cameras is None else cameras
-        self._entities = known_entities(task)
+        self._entities = known_entities(kinds)
         self.space = spaces.Dict(self._joints())
         for name, space in self._vision().items():
             self.space[name] = space
@@ -320,9 +320,14 @@ def truth_vector(observation: Mapping[str, Any]) -> NDArray[np.float32]:
     return np.concatenate(rows).astype(np.float32)
 
 
-def truth_names(robots: Sequence[str], task: str = "") -> list[str]:
-    """Return the name of each number of :func:`truth_vector` for a team and a task."""
-    entities = known_entities(task)
+def truth_names(robots: Sequence[str], kinds: Collection[str] = ()) -> list[str]:
+    """Return the name of each number of :func:`truth_vector` for a team.
+
+    Args:
+        robots: Names of the robots.
+        kinds: Kinds that only some tasks have; see :attr:`.Task.kinds`.
+    """
+    entities = known_entities(kinds)
     return [
         *(f"{name}.{axis}" for name in entities for axis in POSE_AXES),
         *(f"{name}.present" for name in entities),

@@ -279,6 +279,9 @@ class StageWatch:
     def _before(self, plan: tuple[SubTask, ...], i: int) -> Iterator[int]:
         """Yield the earlier sub-tasks with the same objects; pads do not count."""
         mine = {name for name in _entities(plan[i]) if name in self._number}
+        if kind_of(plan[i].pick).span_m is not None:
+            # Earlier ones may have brought its second support.
+            return iter(range(i))
         return (k for k in range(i) if mine & {*_entities(plan[k])})
 
     def _level(self, step: SubTask) -> int:

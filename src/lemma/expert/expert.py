@@ -118,7 +118,9 @@ def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
 
 def _agree(now: SymbolicState, expected: SymbolicState) -> bool:
     """Return whether supports, and poses except the stick's, are as predicted."""
-    if now.fallen != expected.fallen or now.supports != expected.supports:
+    if now.fallen != expected.fallen or (
+        (now.supports, now.seconds) != (expected.supports, expected.seconds)
+    ):
         return False
     return all(
         now.poses[name].distance(pose) < _AS_PREDICTED_M

@@ -23,7 +23,7 @@ class PlanEnv(SubTaskEnv):
             render_mode: ``"rgb_array"`` for :meth:`render`, or None.
         """
         super().__init__(config, render_mode)
-        self.action_space = plan_space(len(self.robot_names), config.task)
+        self.action_space = plan_space(len(self.robot_names), config.kinds)
         self._grounder: GeometricGrounder | None = None
 
     def _begin(self, episode: Episode) -> None:
@@ -36,7 +36,7 @@ class PlanEnv(SubTaskEnv):
         Raises:
             InvalidActionError: There is no such entity, or the argument is neither.
         """
-        return encode_plan(subtask, len(self.robot_names), self.config.task)
+        return encode_plan(subtask, len(self.robot_names), self.config.kinds)
 
     def decode(self, action: Action) -> SubTask:
         """Return the sub-task of an action.
@@ -44,7 +44,7 @@ class PlanEnv(SubTaskEnv):
         Raises:
             InvalidActionError: The action is not in the space.
         """
-        return decode_plan(action, len(self.robot_names), self.config.task)
+        return decode_plan(action, len(self.robot_names), self.config.kinds)
 
     def _execute(self, action: Action) -> SkillResult:
         subtask = self.decode(action)

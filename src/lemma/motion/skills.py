@@ -255,8 +255,8 @@ class SkillRunner:
 
     def _put_down(self, place: Pose2, held: str, grip_m: float) -> Stand:
         """Return the gripper's pose at which the held object touches its support."""
-        bottom = grip_m - _grasp_of(held).height_m
-        support = self.surface(place, exclude=self.scene.model.body(held).id)[0]
+        body, bottom = self.scene.model.body(held).id, grip_m - _grasp_of(held).height_m
+        support = max(self.surface(at, body)[0] for at in kind_of(held).rests(place))
         return stand_at(place, support + grip_m - bottom - _PRESS_M)
 
     def drag(self, arm: ArmMotion, subtask: GroundedSubTask) -> Motion:

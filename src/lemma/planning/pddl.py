@@ -16,7 +16,7 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import PLACED
 from lemma.planning.symbolic_state import TABLE, SymbolicState
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, kind_of
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.subtask import Primitive
 
@@ -76,16 +76,19 @@ def to_pddl(
         grounder: Grounder of the same scene.
 
     Raises:
-        InvalidConfigError: The goal involves grippers or has a rule, a cube is too
-            heavy for a robot, or no plan reaches it with ``move`` alone; dragging with
-            the stick has no symbolic model.
+        InvalidConfigError: The goal involves grippers or a plank, or has a rule, a cube
+            is too heavy for a robot, or no plan reaches it with ``move`` alone;
+            dragging with the stick has no symbolic model.
     """
     plan = find_plan(now, goal, grounder)
     moves = plan is not None and all(
         step.primitive is Primitive.MOVE and step.pick != STICK
         for step in plan.subtasks
     )
-    placed = all(isinstance(part, On) for part in goal.conjuncts)
+    placed = all(
+        isinstance(part, On) and kind_of(part.top).span_m is None
+        for part in goal.conjuncts
+    )
     heavy = any(
         grounder.overload(robot, name)
         for robot in grounder.robots
@@ -95,8 +98,8 @@ def to_pddl(
         raise InvalidConfigError(
             f"{name} cannot be expressed in PDDL: no plan reaches its goal by moving "
             "cubes alone, or a cube is too heavy for a robot. Choose an instance of a "
-            "task without the stick, and without grippers or a rule in its goal, such "
-            "as relay."
+            "task without the stick, and without grippers, a plank or a rule in its "
+            "goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

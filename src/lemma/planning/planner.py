@@ -146,8 +146,17 @@ def _open(conjuncts: tuple[Predicate, ...], now: SymbolicState) -> int:
 
 
 def _bound(now: SymbolicState, goal: Goal) -> float:
-    """Return a lower bound of the cost to the goal: one step per open conjunct."""
-    return _LEAST * _open(goal.conjuncts, now)
+    """Return a lower bound of the cost to the goal: one step per open conjunct.
+
+    For a plank, one step makes two conjuncts true.
+    """
+    left = [on for on in goal.conjuncts if not now.has(on.top, on.bottom)]
+    planks = [on.top for on in left if on.top != HAND and _is_plank(on.top)]
+    return _LEAST * (len(left) - len(planks) + len(set(planks)))
+
+
+def _is_plank(name: str) -> bool:
+    return kind_of(name).span_m is not None
 
 
 def candidates(

@@ -15,7 +15,7 @@ from lemma.core.registry import Registry
 from lemma.motion.skills import SKILLS, SkillMotion
 from lemma.planning.carrying import ground_carry, is_carried, why_not_carry
 from lemma.planning.geometry import GroundedOption, SceneGeometry
-from lemma.planning.symbolic_state import TABLE, SymbolicState
+from lemma.planning.symbolic_state import TABLE, SymbolicState, across_label
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import HAND, STICK, kind_of
 from lemma.tasks.drags import (
@@ -111,6 +111,7 @@ def ground_move(
     if cube not in now.supports or now.on_top_of(cube) is not None:
         return None
     start, kind = now.poses[cube], kind_of(cube)
+    second: str | None = None
     if not geometry.reaches(subtask.robot, start):
         return None
     if geometry.overload(subtask.robot, cube):
@@ -124,6 +125,12 @@ def ground_move(
         if spot is None:
             return None
         target, support, label = spot, TABLE, subtask.place
+    elif kind.span_m is not None:
+        across = now.across(cube, subtask.place)
+        if across is None:
+            return None
+        target, support, second = across
+        label = across_label(support, second)
     elif subtask.place in now.poses and subtask.place != cube:
         if now.on_top_of(subtask.place) is not None:
             return None
@@ -138,12 +145,14 @@ def ground_move(
         return None
     bearings = [geometry.bearing(subtask.robot, pose) for pose in (start, target)]
     yaw = pick.yaw + (bearings[1] - bearings[0])
-    if support != TABLE and kind.faceted and kind_of(support).faceted:
+    if second is not None:
+        yaw = target.yaw + math.pi * round((yaw - target.yaw) / math.pi)
+    elif support != TABLE and kind.faceted and kind_of(support).faceted:
         # Align the faces: the yaw differs from the lower cube's by quarter turns.
         yaw = target.yaw + 0.5 * math.pi * round((yaw - target.yaw) * 2 / math.pi)
     place = Pose2(target.x, target.y, yaw)
     resting = Pose2(target.x, target.y, start.yaw + yaw - pick.yaw)
-    after = now.moved(cube, resting, support, label)
+    after = now.moved(cube, resting, support, label, second)
     return _option(geometry, subtask, (pick, place), after, start, target)
 
 
@@ -304,7 +313,18 @@ def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
         above = None if name in regions else now.on_top_of(name)
         if above is not None and above != pick:
             return f"The {above} lies on the {name}."
-    return f"The {pick} lies there already." if now.supports[pick] == place else None
+    if now.has(pick, place):
+        return f"The {pick} lies there already."
+    if place not in regions and _lacks_a_post(pick, place, now):
+        return (
+            f"The {pick} lies on two things, and nothing as high as the {place} stands "
+            "as far from it as the plank spans."
+        )
+    return None
+
+
+def _lacks_a_post(pick: str, place: str, now: SymbolicState) -> bool:
+    return kind_of(pick).span_m is not None and now.across(pick, place) is None
 
 
 def _why_not_hand(subtask: SubTask, now: SymbolicState) -> str | None:

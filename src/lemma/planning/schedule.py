@@ -22,6 +22,7 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.lines import Line, are_near
 from lemma.planning.planner import Plan, utility
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.teams.rule import Rule
@@ -285,8 +286,17 @@ def predecessors(
                 needs[i] = "place" if step.primitive is Primitive.MOVE else "pick"
             elif rule is not None and rule.orders(earlier, step):
                 needs[i] = "place"
+            elif _lays_across(step, regions) and kind_of(earlier.pick).cargo:
+                # Any thing may be its second support.
+                needs[i] = "place"
         found.append(needs)
     return tuple(found)
+
+
+def _lays_across(step: SubTask, regions: Sequence[str]) -> bool:
+    """Whether a sub-task lays a plank on two things."""
+    moves = step.primitive is Primitive.MOVE and step.place not in regions
+    return moves and kind_of(step.pick).span_m is not None
 
 
 def pose_jobs(

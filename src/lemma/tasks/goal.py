@@ -19,7 +19,7 @@ import numpy as np
 
 from lemma.core.engine import mujoco
 from lemma.core.errors import InvalidConfigError
-from lemma.core.poses import Pose
+from lemma.core.poses import Pose, Pose2
 from lemma.core.seeding import ordered_sum
 from lemma.scene.objects.contacts import LEFT, RIGHT, find_touches
 from lemma.scene.objects.entity import HAND, kind_of
@@ -47,7 +47,10 @@ _STEEP = math.cos(math.radians(30.0))
 
 @dataclass(frozen=True, slots=True)
 class On:
-    """One object lies on another, such as a cube on a pad or on a cube."""
+    """One object lies on another, such as a cube on a pad or on a cube.
+
+    A plank lies on two objects; a goal says this with two of these predicates.
+    """
 
     top: str
     bottom: str
@@ -74,11 +77,13 @@ class On:
     def holds(self, scene: Scene) -> bool:
         """Return whether the predicate holds now.
 
-        The bottom alone supports the top: they touch, and other contacts of the top are
-        only with objects on it. Both are at rest, level, and not below the table, and
-        no robot touches either. The distance of the centres is at most ``support_m`` of
-        the bottom's kind: on a pad at least 1 cm inside its edge, on a cube above its
-        top face.
+        The bottom alone supports the top (a plank has a second support): they touch,
+        and other contacts of the top are only with objects on it. Both are at rest,
+        level, and not below the table, and no robot touches either. The distance of the
+        centres is at most ``support_m`` of the bottom's kind: on a pad at least 1 cm
+        inside its edge, on a cube above its top face. For a plank, it is the distance
+        between the bottom's centre and one of the two points that
+        :meth:`.ObjectKind.rests` returns.
         """
         # Cheap conditions first, because this runs in every step.
         return (
@@ -109,6 +114,12 @@ class On:
         limit = kind_of(self.bottom).support_m
         assert limit is not None
         top, bottom = scene.position(self.top), scene.position(self.bottom)
+        kind = kind_of(self.top)
+        if kind.span_m is not None:
+            at = Pose2(float(bottom[0]), float(bottom[1]))
+            rests = kind.rests(scene.pose2(self.top))
+            over = any(rest.distance(at) <= limit for rest in rests)
+            return over and bool(top[2] > bottom[2])
         dx, dy = top[0] - bottom[0], top[1] - bottom[1]
         return dx * dx + dy * dy <= limit * limit and top[2] > bottom[2]
 
@@ -274,8 +285,9 @@ def _stands_on_a_face(scene: Scene, name: str) -> bool:
 def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """Return whether an object is supported by another one alone.
 
-    Objects on the upper one may touch it from above. Robots must not touch the upper
-    one, and the lower one only if it is fixed to the table.
+    Objects on the upper one may touch it from above, and a plank has another object
+    below it. Robots must not touch the upper one, and the lower one only if it is fixed
+    to the table.
 
     Args:
         scene: The scene.
@@ -284,17 +296,19 @@ def _carries_alone(scene: Scene, bottom: str, top: str) -> bool:
     """
     model = scene.model
     lower, upper = (int(model.body(name).id) for name in (bottom, top))
-    carried = False
+    carriers, wanted = set[int](), 1 if kind_of(top).span_m is None else 2
     for first, second, rise in _touching(scene, (upper, lower)):
         entity = scene.entity_of_body(second)
         if first == lower:
             if entity is None and second > 0 and bottom in scene.movable_names:
                 return False
         elif second == lower:
-            carried = carried or rise <= -_STEEP
+            carriers |= {second} if rise <= -_STEEP else set()
+        elif wanted > 1 and entity is not None and rise <= -_STEEP:
+            carriers.add(second)
         elif entity is None or rise < _STEEP:
             return False
-    return carried
+    return lower in carriers and len(carriers) == wanted
 
 
 def _hangs_in_a_hand(scene: Scene, name: str) -> bool:

@@ -32,7 +32,16 @@ def rung_task(rung: str, degree: str) -> str:
 
 LADDER = tuple(rung_task(rung, degree) for rung in RUNGS for degree in DEGREES)
 """The 24 tasks of the suite ``ladder``; four of them are also in suite ``lemma``."""
-FAMILIES = ("relay", "line", "carousel", "sort", "tower", "exchange", "strong")
+FAMILIES = (
+    "relay",
+    "line",
+    "carousel",
+    "sort",
+    "tower",
+    "exchange",
+    "strong",
+    "bridge",
+)
 """The families of the suite ``teams``, for three and four robots."""
 UNLISTED = ("carry",)
 """Families without frozen lists, which are in no suite."""

@@ -56,6 +56,10 @@ class Task:
     hands: tuple[str, ...] = ()
     """Hands of the robots by role, names in ``lemma.robots.hand.HANDS``, that of
     ``placer.order[0]`` first. If empty, all have the standard one."""
+    kinds: tuple[str, ...] = ()
+    """Unlisted kinds of objects on its tables, such as ``"plank"``, names in
+    :data:`~lemma.scene.objects.kind.OBJECT_KINDS`. Its actions and observations have
+    numbers for them, after those of all other entities."""
     layout: str = "pair"
     """Layout of the robots: a name in :data:`~lemma.tasks.teams.layouts.LAYOUTS`."""
     fixed: bool = False

@@ -104,13 +104,15 @@ class Territory:
         """Return the outer bound of a robot's reachable set."""
         return could_of(self.robots[robot].arm)
 
-    def only(self, *robots: int, tool: bool = False) -> Zone:
+    def only(self, *robots: int, tool: bool = False, beyond_m: float = 0.0) -> Zone:
         """Return the zone that all given robots reach, and no other robot.
 
         Args:
             robots: Indices of the robots.
             tool: Whether the others must not reach it even with the stick, for example
                 to carry a cube there on it.
+            beyond_m: Length of another object with which the others must not reach it
+                either [m].
         """
         others = tuple(r for r in range(len(self.robots)) if r not in robots)
 
@@ -119,7 +121,9 @@ class Territory:
             for robot in robots:
                 found &= self.works(robot, x, y)
             for other in others:
-                found &= self.cannot(other, kind, x, y, tool=tool, by_m=REMOTE_M)
+                found &= self.cannot(
+                    other, kind, x, y, tool=tool, by_m=REMOTE_M + beyond_m
+                )
             return found
 
         who = " and the ".join(f"{{{robot}}}" for robot in robots)
@@ -127,6 +131,8 @@ class Territory:
         says = f"where the {who} {works}, and no other robot could do anything"
         if tool:
             says += " even with the stick"
+        if beyond_m:
+            says += f" even with a bar of {100 * beyond_m:.0f} cm"
         return Zone(sift, barred=others, tool=tool, says=says)
 
     def nobody(self) -> Zone:

@@ -28,7 +28,7 @@ from lemma.scene.objects.entity import kind_of
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import On
 from lemma.tasks.instance import Instance
-from lemma.tasks.subtask import GroundedSubTask, SubTask
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 from lemma.tasks.suite import load_instance
 from lemma.tasks.teams.coalitions import lack_of, needed
 from lemma.tasks.teams.strong import HEAVY_KG
@@ -76,7 +76,7 @@ def carry(arm: str, hand: str, mass_kg: float | None) -> tuple[Simulation, Outco
     )
     robot = RobotPlacement(arm, "white", Pose2(0.0, 0.0), hand)
     simulation = Simulation(SceneSpec((robot,), things))
-    result = simulation.execute(GroundedSubTask("robot_0", "move", start, end))
+    result = simulation.execute(GroundedSubTask("robot_0", Primitive.MOVE, start, end))
     simulation.rest(0.5)
     return simulation, result.outcome
 
@@ -134,12 +134,12 @@ def test_a_weak_robot_that_reaches_it_is_refused(level: str) -> None:
     episode, robot = Episode(instance), f"robot_{tempted(instance)}"
     top, bottom = instance.goal.pairs[0]
     now = SymbolicState.observe(episode.simulation.scene)
-    asked = SubTask(robot, "move", top, bottom)
+    asked = SubTask(robot, Primitive.MOVE, top, bottom)
     refused = ground_or_refuse(asked, now, GeometricGrounder(instance.scene))
     assert not hasattr(refused, "grounded")
     if level == "skill":
         ends = now.poses[top], now.poses[bottom]
-        refused = episode.execute(GroundedSubTask(robot, "move", *ends))
+        refused = episode.execute(GroundedSubTask(robot, Primitive.MOVE, *ends))
         assert episode.instance.goal.progress(episode.simulation.scene) < 1.0
     assert refused.outcome is Outcome.OVERLOAD
     assert "weighs 2.4 kg" in refused.explanation

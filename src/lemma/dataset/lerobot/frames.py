@@ -38,6 +38,7 @@ from lemma.scene.rendering.batch import states_at_once
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.language.vector import NUMBERS, sentence_vector
+from lemma.tasks.suite import TASKS
 
 AGENT_PARTS = ("state", "action")
 """Columns of each robot: ``robot_0.state``."""
@@ -250,6 +251,11 @@ def _teller(
         return lambda step: said
     if style.environment_state == PRIVILEGED:
         instance = Instance.from_dict(record.instance_data())
+        if kinds := TASKS[instance.task].kinds:
+            raise InvalidConfigError(
+                f"The true state has no numbers for {', '.join(kinds)}, which "
+                f"{instance.task} has. Export it with another environment_state."
+            )
         robots = tuple(range(len(robots_of(record))))
         observer = Observer(PRIVILEGED, robots, (_SMALLEST_PX, _SMALLEST_PX))
 

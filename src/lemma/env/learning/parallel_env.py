@@ -46,8 +46,11 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         config = inner.config
         self._observers = {
             name: Observer(
-                *(config.observation, (i,), config.image_size),
-                *(self._cameras_of(name), config.task),
+                config.observation,
+                (i,),
+                config.image_size,
+                self._cameras_of(name),
+                config.kinds,
             )
             for i, name in enumerate(self.possible_agents)
         }

@@ -34,7 +34,7 @@ class _Agents:
         config = inner.config
         self._observers = {
             name: Observer(
-                config.observation, (i,), config.image_size, task=config.task
+                config.observation, (i,), config.image_size, kinds=config.kinds
             )
             for i, name in enumerate(self.possible_agents)
         }

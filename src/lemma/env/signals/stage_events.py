@@ -105,7 +105,7 @@ class StageEvents:
                 pairs[step.pick, step.place] = None
         stands = [[number.get(name, -1) for name in pair] for pair in pairs]
         self._stands = np.array(stands, np.int64).reshape(-1, 2)
-        supports = [_support(bottom, scene) for _, bottom in pairs]
+        supports = [_support(top, bottom, scene) for top, bottom in pairs]
         self._supports = np.array(supports).reshape(-1, 4)
         # A sub-task that picks the stick may find it in position for a cube at the
         # place.
@@ -158,12 +158,14 @@ def _size(scene: Scene, item: int) -> tuple[float, float, float]:
     return along + handle, float(extent.max()), handle
 
 
-def _support(bottom: str, scene: Scene) -> tuple[float, float, float, float]:
+def _support(top: str, bottom: str, scene: Scene) -> tuple[float, float, float, float]:
     """Return the tolerance of the top's position on a bottom, and its center [m]."""
     if bottom not in scene.object_names:
         return (0.0, 0.0, 0.0, 0.0)
     x, y, z = scene.position(bottom)
-    return (kind_of(bottom).support_m or 0.0, x, y, z)
+    # A plank's middle is half of its span away.
+    beside_m = 0.0 if top == HAND else 0.5 * (kind_of(top).span_m or 0.0)
+    return (beside_m + (kind_of(bottom).support_m or 0.0), x, y, z)
 
 
 @kernel

@@ -125,7 +125,10 @@ class Team:
                 if pose != order.before.poses[name]:
                     after = order.option.after
                     support = after.supports.get(name, TABLE)
-                    now = now.moved(name, pose, support, after.labels[name])
+                    now = now.moved(
+                        *(name, pose, support, after.labels[name]),
+                        after.seconds.get(name),
+                    )
         return now
 
     def begin(self, option: GroundedOption, before: SymbolicState) -> None:
@@ -382,6 +385,7 @@ def _is_as_predicted(
     after = option.after
     return all(
         now.supports.get(name) == after.supports.get(name)
+        and now.seconds.get(name) == after.seconds.get(name)
         and now.poses[name].distance(pose) < _AS_PREDICTED_M
         for name, pose in after.poses.items()
         if pose != before.poses[name] and name in now.poses
@@ -396,5 +400,6 @@ def _at(option: GroundedOption, grounded: GroundedSubTask) -> GroundedOption:
         return replace(option, grounded=grounded)
     at = Pose2(grounded.place.x, grounded.place.y, pose.yaw)
     after, support = option.after, option.after.supports.get(pick, TABLE)
-    moved = after.moved(pick, at, support, after.labels[pick])
+    second = after.seconds.get(pick)
+    moved = after.moved(pick, at, support, after.labels[pick], second)
     return replace(option, grounded=grounded, after=moved)

@@ -230,9 +230,9 @@ class TeamPlanEnv(TeamEnv):
         return spaces.Dict(
             {
                 "primitive": spaces.Discrete(len(primitive_names()) + 1),
-                "pick": spaces.Discrete(len(picks(self.config.task))),
+                "pick": spaces.Discrete(len(picks(self.config.kinds))),
                 "place": spaces.Discrete(
-                    len(places(len(self.robot_names), self.config.task))
+                    len(places(len(self.robot_names), self.config.kinds))
                 ),
             }
         )
@@ -245,14 +245,14 @@ class TeamPlanEnv(TeamEnv):
         """
         found = {}
         for subtask in subtasks:
-            order = encode_plan(subtask, len(self.robot_names), self.config.task)
+            order = encode_plan(subtask, len(self.robot_names), self.config.kinds)
             robot = self.robot_names[order.pop("robot")]
             found[robot] = order
         return found
 
     def _decode(self, order: Action, robot: int) -> SubTask | None:
         subtask = decode_plan(
-            {"robot": robot, **order}, len(self.robot_names), self.config.task
+            {"robot": robot, **order}, len(self.robot_names), self.config.kinds
         )
         return None if subtask.primitive is Primitive.STOP else subtask
 
@@ -271,7 +271,7 @@ class TeamPlanEnv(TeamEnv):
         found = self._busy_mask()
         found["primitive"][primitive_names().index(Primitive.STOP)] = 1
         for subtask in self.valid_orders(robot):
-            order = encode_plan(subtask, len(self.robot_names), self.config.task)
+            order = encode_plan(subtask, len(self.robot_names), self.config.kinds)
             for part, mask in found.items():
                 mask[order[part]] = 1
         return found

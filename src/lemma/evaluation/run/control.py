@@ -176,7 +176,7 @@ class ControlPlayer(Player):
             policy: The policy.
         """
         super().__init__(policy)
-        self._observers: dict[tuple[int, str], Observer] = {}
+        self._observers: dict[tuple[int, tuple[str, ...]], Observer] = {}
 
     def begin(
         self, instance: Instance, kind: str, control: LanguageControl = OWN_SENTENCE
@@ -192,19 +192,17 @@ class ControlPlayer(Player):
     def policy_input(self, rollout: Rollout) -> ControlInput:
         """Return the policy's present input in an episode."""
         assert isinstance(rollout, ControlRollout)
-        robots, task = len(rollout.instance.scene.robots), rollout.instance.task
-        if (robots, task) not in self._observers:
-            config = rollout.config
-            self._observers[robots, task] = Observer(
+        robots, config = len(rollout.instance.scene.robots), rollout.config
+        key = (robots, config.kinds)
+        if key not in self._observers:
+            self._observers[key] = Observer(
                 config.observation,
                 tuple(range(robots)),
                 config.image_size,
                 config.cameras,
-                task,
+                config.kinds,
             )
-        return rollout.look(
-            self._observers[robots, task], oracle=is_oracle(self.policy)
-        )
+        return rollout.look(self._observers[key], oracle=is_oracle(self.policy))
 
 
 def load_player(spec: PolicySpec) -> Player:

@@ -23,12 +23,8 @@ from lemma.policies.together.interfaces import (
     TeamInput,
     orders_of,
 )
-from lemma.scene.objects.entity import (
-    SHARED,
-    entities_of_tasks,
-    known_entities,
-    pair_regions,
-)
+from lemma.scene.objects.entity import SHARED, known_entities, pair_regions
+from lemma.scene.objects.kind import OBJECT_KINDS
 from lemma.serve.faults import FaultKind, PolicyFailedError, trouble_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -228,9 +224,15 @@ def _subtask(subtask: object, robots: int) -> SubTask:
         return STOP
     _check_name("robot", subtask.robot, robot_names(robots))
     for entity in (subtask.pick, subtask.place):
-        if entity != "" and entity not in entities_of_tasks():
+        if entity != "":
             _check_name(
-                "entity", entity, (*known_entities(), SHARED, *pair_regions(robots))
+                "entity",
+                entity,
+                (
+                    *known_entities(tuple(OBJECT_KINDS)),
+                    SHARED,
+                    *pair_regions(robots),
+                ),
             )
     return SubTask(subtask.robot, primitive, subtask.pick, subtask.place)
 

@@ -119,6 +119,8 @@ def _state(name: str, now: SymbolicState) -> str:
     if name not in now.supports:
         return ""
     facts = [f"on the {now.supports[name]}"]
+    if name in now.seconds:
+        facts.append(f"on the {now.seconds[name]}")
     above = now.on_top_of(name)
     if above is not None:
         facts.append(f"under the {above}")

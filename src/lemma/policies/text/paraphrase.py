@@ -22,7 +22,8 @@ from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.pad import PAD
 from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
-from lemma.tasks.language.template import SLOT, GoalPairs, Template
+from lemma.tasks.language.slots import SLOT
+from lemma.tasks.language.template import GoalPairs, Template
 from lemma.tasks.suite import SUITE
 
 T = TypeVar("T")

@@ -9,6 +9,7 @@ numbers never change. Entities of users follow, after ``"shared"`` where that is
 choice too: see :func:`known_entities`.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -113,35 +114,32 @@ def _color_and_kind(name: str) -> tuple[str, ObjectKind]:
         record = OBJECT_KINDS[kind]
         if color in OBJECT_COLORS if record.colored else not separator:
             return color, record
-    raise UnknownNameError("entity", name, known_entities())
+    raise UnknownNameError("entity", name, known_entities(tuple(OBJECT_KINDS)))
 
 
-def known_entities(task: str = "") -> tuple[str, ...]:
+def known_entities(kinds: Collection[str] = ()) -> tuple[str, ...]:
     """Return all entities that exist now, in the order of their numbers.
 
     :data:`ENTITIES` come first, then registered ones by kind, and for each kind by
     color, both in the order of registration.
 
     Args:
-        task: The task of the table. Kinds of other tasks (:attr:`.ObjectKind.task`)
-            are left out, so that the numbers of a task do not depend on others.
+        kinds: Kinds that only some tasks have (:attr:`.Task.kinds`), and that count
+            too.
     """
     every = (
         Entity(color, kind).name
         for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS)
-        if kind.task in ("", task)
+        if kind.listed or kind.name in kinds
         for color in (OBJECT_COLORS if kind.colored else ("",))
     )
     return tuple(dict.fromkeys((*ENTITIES, *every)))
 
 
-def entities_of_tasks() -> frozenset[str]:
-    """Return all entities that only tables of one task have."""
-    tasks = {kind.task for kind in map(OBJECT_KINDS.__getitem__, OBJECT_KINDS)}
-    found = (set(known_entities(task)) - set(known_entities()) for task in tasks)
-    return frozenset().union(*found)
+def extra_entities(kinds: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the entities of :func:`known_entities` that are not the benchmark's.
 
-
-def extra_entities(task: str = "") -> tuple[str, ...]:
-    """Return the entities of :func:`known_entities` behind the benchmark's own."""
-    return known_entities(task)[len(ENTITIES) :]
+    Args:
+        kinds: See there.
+    """
+    return known_entities(kinds)[len(ENTITIES) :]

@@ -144,9 +144,9 @@ class ObjectKind:
     color: Rgba | None = None
     """Color of a kind with at most one object in a scene, which has the kind's name;
     None if the kind comes in all colors of the palette."""
-    task: str = ""
-    """The only task whose tables have it, and whose entities include it; empty if any
-    table may have it."""
+    listed: bool = True
+    """Whether actions and observations of all tasks have a number for it; otherwise
+    only those of tasks that have it in :attr:`.Task.kinds`."""
     fixed: bool = False
     """Whether objects are fixed to the table."""
     tool: bool = False
@@ -174,6 +174,9 @@ class ObjectKind:
     support_m: float | None = None
     """Largest distance between its centre and the centre of an object on it; None if no
     object can lie on it."""
+    span_m: float | None = None
+    """Distance between the centres of the two objects of equal height that it lies on,
+    one at each side of its centre along x; None for a kind that lies on one object."""
     drag_m: float | None = None
     """Distance from its centre to the contact point of the stick; None if the stick
     cannot drag it."""
@@ -249,6 +252,17 @@ class ObjectKind:
     def top_m(self) -> float:
         """Height of its top above its frame [m]."""
         return self.height_m - self.origin_m
+
+    def rests(self, pose: Pose2) -> tuple[Pose2, ...]:
+        """Return over which places its weight rests: its middle, or two of a plank.
+
+        Args:
+            pose: Where it lies.
+        """
+        if self.span_m is None:
+            return (pose,)
+        half_m = 0.5 * self.span_m
+        return (pose @ Pose2(-half_m, 0.0), pose @ Pose2(half_m, 0.0))
 
     def spacing_to(self, other: "ObjectKind") -> float:
         """Return the smallest initial distance of the centres of two objects [m]."""

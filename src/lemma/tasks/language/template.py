@@ -7,7 +7,6 @@ with the goal's entities; parsing is the exact inverse.
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -16,6 +15,13 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
+from lemma.tasks.language.slots import (
+    SLOT,
+    bare,
+    colored_nouns,
+    is_of_one_color,
+    pattern_of,
+)
 
 GoalPairs = tuple[tuple[str, str], ...]
 """A ``(top, bottom)`` pair of entity names for each predicate of a goal; either may be
@@ -23,7 +29,8 @@ GoalPairs = tuple[tuple[str, str], ...]
 
 KindPairs = tuple[tuple[str, str], ...]
 """A ``(top, bottom)`` pair of entity kinds for each predicate of a goal. Templates have
-no slot for the gripper."""
+no slot for the gripper, for a kind of a single color, and for an entry that is an
+earlier role, such as ``"top1"`` in ``(("cube", "pad"), ("plank", "top1"))``."""
 
 KINDS = ("high_level", "human", "unseen")
 """Kinds of instructions in every instance and every recipe; ``unseen`` ones are held
@@ -38,9 +45,7 @@ EVALUATION_KINDS = (*KINDS, BLIND)
 MAX_CHARACTERS = 200
 """Largest length of a rendered sentence."""
 
-SLOT = re.compile(r"\{(?P<role>(?:top|bottom)[1-9]?)(?:\.(?P<part>color|kind))?\}")
-"""A slot: a role, or the color or kind of a role's entity."""
-
+_ROLE = re.compile(r"(?:top|bottom)[1-9]")
 _SLOT_HELP = (
     "Slots are {top}, {bottom} ('red cube'), {top.color}, {bottom.color} ('red') and "
     "{top.kind}, {bottom.kind} ('cube'); with several conjuncts {top1}, {bottom1}, "
@@ -64,6 +69,9 @@ class Template:
     def __post_init__(self) -> None:
         """Check slots, characters and length."""
         self._check_text()
+        for number, kinds in enumerate(self.entity_kinds or (), 1):
+            if any(_ROLE.fullmatch(k) and int(k[-1]) >= number for k in kinds):
+                raise self._error("a role in entity_kinds must be of an earlier pair")
         self._check_roles()
         longest = max(BENCHMARK_COLORS, key=len)
         size = len(SLOT.sub(lambda slot: self._fill(slot, longest, "cube"), self.text))
@@ -105,6 +113,8 @@ class Template:
         if found <= {"top", "bottom"}:
             return (("top", "bottom"),)
         count = max(int(role[-1]) for role in found if role[-1].isdigit())
+        for kinds in (self.entity_kinds or ())[count:]:
+            count += all(kind in found or is_of_one_color(kind) for kind in kinds)
         return tuple((f"top{n}", f"bottom{n}") for n in range(1, count + 1))
 
     def render(self, goal_pairs: GoalPairs) -> str:
@@ -134,7 +144,8 @@ class Template:
                         )
                     continue
                 found = entities[role] = entity_named(entity)
-                if self._kind(role) not in (None, found.kind.name):
+                same = found == entities[self._resolved(role)[0]]
+                if not same or self._kind(role) not in (None, found.kind.name):
                     raise self._error(
                         f"its {role!r} is a {self._kind(role)}, but the goal has "
                         f"{entity!r} there. Use a template of the goal's own task"
@@ -150,11 +161,12 @@ class Template:
         """Return the goal of a sentence, or None if the template does not match.
 
         Letter case and final punctuation are ignored. Entities of kinds with a single
-        color are not recognized.
+        color are recognized if ``entity_kinds`` has their kind.
         """
-        nouns = _nouns()
-        pattern = _pattern(self, tuple(OBJECT_COLORS), tuple(nouns))
-        match = pattern.fullmatch(_bare(sentence))
+        nouns = colored_nouns()
+        kinds = tuple((role, self._kind(role)) for pair in self.roles for role in pair)
+        pattern = pattern_of(self.text, kinds, tuple(OBJECT_COLORS), tuple(nouns))
+        match = pattern.fullmatch(bare(sentence))
         if match is None:
             return None
         said = {name: word.lower() for name, word in match.groupdict().items()}
@@ -163,7 +175,8 @@ class Template:
             for top, bottom in self.roles
         )
         tops = {top for top, _ in goal}
-        if len(tops) < len(self.roles) or any(top == bottom for top, bottom in goal):
+        said_tops = {self._said(top) for top, _ in self.roles}
+        if len(tops) < len(said_tops) or any(top == bottom for top, bottom in goal):
             return None
         return goal
 
@@ -177,15 +190,20 @@ class Template:
         return re.sub(r"[^a-z*]+", " ", filled.lower()).strip()
 
     def _kind(self, role: str) -> str | None:
-        if self.entity_kinds is None:
-            return None
-        conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
-        return self.entity_kinds[conjunct][role.startswith("bottom")]
+        return self._resolved(role)[1]
 
-    def _is_colorless(self, role: str) -> bool:
-        """Whether a role is of a kind of which a scene has one, called by its kind."""
-        kind = self._kind(role)
-        return kind not in (None, HAND) and not OBJECT_KINDS[str(kind)].colored
+    def _resolved(self, role: str) -> tuple[str, str | None]:
+        """Return the role that a role stands for, mostly itself, and its kind."""
+        if self.entity_kinds is None:
+            return role, None
+        conjunct = int(role[-1]) - 1 if role[-1].isdigit() else 0
+        entry = self.entity_kinds[conjunct][role.startswith("bottom")]
+        return self._resolved(entry) if _ROLE.fullmatch(entry) else (role, entry)
+
+    def _said(self, role: str) -> str:
+        """Return what tells a role in a sentence: a role with a slot, or a kind."""
+        role, kind = self._resolved(role)
+        return kind if kind is not None and is_of_one_color(kind) else role
 
     def _fill(self, slot: re.Match[str], color: str, noun: str) -> str:
         kind = self._kind(slot["role"])
@@ -196,11 +214,11 @@ class Template:
     def _entity(
         self, role: str, said: dict[str, str], nouns: dict[str, ObjectKind]
     ) -> str:
-        kind = self._kind(role)
+        role, kind = self._resolved(role)
         if kind == HAND:
             return HAND
-        if self._is_colorless(role):
-            return str(kind)
+        if kind is not None and is_of_one_color(kind):
+            return Entity("", OBJECT_KINDS[kind]).name
         record = nouns[said[f"{role}_kind"]] if kind is None else OBJECT_KINDS[kind]
         return Entity(said[f"{role}_color"], record).name
 
@@ -218,7 +236,7 @@ class Template:
         for slot in SLOT.finditer(self.text):
             said.setdefault(slot["role"], set()).add(slot["part"])
         roles = [role for pair in self.roles for role in pair]
-        expected = {role for role in roles if self._kind(role) != HAND}
+        expected = {r for r in roles if self._said(r) == r and self._kind(r) != HAND}
         if set(said) != expected:
             raise self._error(
                 f"it has slots for {sorted(said)}, but needs {sorted(expected)}. "
@@ -237,7 +255,7 @@ class Template:
 
     def _check_kinds(self, entity_kinds: KindPairs) -> None:
         for kind in (kind for pair in entity_kinds for kind in pair):
-            if kind != HAND:
+            if kind != HAND and not _ROLE.fullmatch(kind):
                 OBJECT_KINDS[kind]
         if len(entity_kinds) != len(self.roles):
             raise self._error(
@@ -349,52 +367,9 @@ class LanguageBank:
         return only_goal(self, sentence)
 
 
-def _nouns() -> dict[str, ObjectKind]:
-    """Return the kinds with colors that may be in a goal, by noun."""
-    kinds = (OBJECT_KINDS[name] for name in OBJECT_KINDS)
-    return {kind.nouns[0]: kind for kind in kinds if kind.colored and not kind.tool}
-
-
 def only_goal(
     candidates: Iterable[Template], sentence: str
 ) -> frozenset[tuple[str, str]] | None:
     """Return the goal on which all templates that match a sentence agree, or None."""
     goals = {template.parse(sentence) for template in candidates} - {None}
     return goals.pop() if len(goals) == 1 else None
-
-
-def _bare(sentence: str) -> str:
-    return " ".join(sentence.split()).rstrip(" .!?")
-
-
-@lru_cache(maxsize=4096)
-def _pattern(
-    template: Template, colors: tuple[str, ...], nouns: tuple[str, ...]
-) -> re.Pattern[str]:
-    """Compile the inverse of ``render``; repeated mentions of a role must be equal."""
-    text, pieces, end, said = _bare(template.text), [], 0, set()
-
-    def group(name: str, options: Sequence[str]) -> str:
-        if name in said:
-            return f"(?P={name})"
-        said.add(name)
-        return f"(?P<{name}>{'|'.join(map(re.escape, options))})"
-
-    for slot in SLOT.finditer(text):
-        role, part = slot["role"], slot["part"]
-        pieces.append(re.escape(text[end : slot.start()]))
-        if template._is_colorless(role):
-            pieces.append(re.escape(template._fill(slot, "", "")))
-            end = slot.end()
-            continue
-        if part != "kind":
-            pieces.append(group(f"{role}_color", colors))
-        if part is None:
-            pieces.append(" ")
-        if part != "color":
-            kind = template._kind(role)
-            noun = () if kind is None else OBJECT_KINDS[kind].nouns[:1]
-            pieces.append(group(f"{role}_kind", noun or nouns))
-        end = slot.end()
-    pieces.append(re.escape(text[end:]))
-    return re.compile("".join(pieces), re.IGNORECASE)

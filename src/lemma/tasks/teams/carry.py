@@ -36,6 +36,7 @@ _ROUNDED_M = 2e-4
     subtasks=1,
     distractors=(0, 3),
     layout="wide_pair",
+    kinds=("tray", "rack"),
     teams=TEAMS,
 )
 def arrange_carry(placer: ObjectPlacer) -> Goal:

@@ -5,8 +5,9 @@ coalition is kept from ``On(top, bottom)`` where none of it could touch the top,
 could touch the bottom or put anything on it, or nothing could get from those who could
 do the one to those who could do the other. All of that is said of what robots *could*
 do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
-that is pushed gets farther than a hand. A robot for which a top is too heavy
-could not get it onto something as high as the top itself, unless there is a lower rim.
+that is pushed gets farther than a hand, and so does a plank that is held by its end. A
+robot for which a top is too heavy could not get it onto something as high as the top
+itself, unless there is a lower rim.
 """
 
 from collections.abc import Iterable, Sequence
@@ -150,6 +151,12 @@ class _Coalition:
         self._territory = territory
         self._robots = sorted(robots)
         self._placed = {placed.name: placed for placed in objects}
+        self._bars_m: dict[str, float] = {}
+        self._bars_m = {
+            placed.name: 2.0 * placed.entity.kind.disc_m
+            for placed in objects
+            if placed.entity.kind.span_m is not None and self._touching(placed)
+        }
         self._cargo = [
             placed
             for placed in objects
@@ -166,7 +173,7 @@ class _Coalition:
         if is_carried(on.top):
             ends = (self._touching(top), self._touching(bottom))
             able = all(map(self._has_both_handles, (top, bottom), (top, top)))
-            return None if able else Lack(on, *map(tuple, ends))
+            return None if able else Lack(on, tuple(ends[0]), tuple(ends[1]))
         row_m = self._row_m(but=(on.top, on.bottom))
         getters = self._touching(top) or self._pushing_together(top, row_m)
         # A cube that stands on one that is pushed slides or tips over where it stops.
@@ -209,10 +216,12 @@ class _Coalition:
         """Return who could do anything to a thing with a hand and what it holds."""
         x, y = np.array([placed.pose.x]), np.array([placed.pose.y])
         kind = placed.entity.kind
+        others = (m for name, m in self._bars_m.items() if name != placed.name)
+        by_m = OUTSIDE_M + max(others, default=0.0)
         return [
             robot
             for robot in self._robots
-            if not self._territory.cannot(robot, kind, x, y)[0]
+            if not self._territory.cannot(robot, kind, x, y, by_m=by_m)[0]
         ]
 
     def _within(self, placed: ObjectPlacement, row_m: float) -> list[int]:

@@ -7,7 +7,7 @@ from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.teams.rule import RULES, After, But, Without
 
-_OF_THREE = (
+OF_THREE = (
     ("ur5",) * 3,
     ("ur5", "ur5", "ur10"),
     ("ur5", "ur10", "ur10"),
@@ -69,7 +69,7 @@ def arrange_carousel(placer: ObjectPlacer) -> Goal:
     subtasks=5,
     distractors=(0, 2),
     layout="triangle",
-    teams=_OF_THREE,
+    teams=OF_THREE,
 )
 def arrange_sort(placer: ObjectPlacer) -> Goal:
     """One robot has the cube of its color; two have each other's."""
@@ -89,7 +89,7 @@ def arrange_sort(placer: ObjectPlacer) -> Goal:
     subtasks=5,
     distractors=(0, 2),
     layout="triangle",
-    teams=_OF_THREE,
+    teams=OF_THREE,
 )
 def arrange_tower(placer: ObjectPlacer) -> Goal:
     """The first robot has the pad and the lowest cube, the others one cube each."""
@@ -105,7 +105,7 @@ def arrange_tower(placer: ObjectPlacer) -> Goal:
     subtasks=3,
     distractors=(0, 1),
     layout="triangle",
-    teams=_OF_THREE,
+    teams=OF_THREE,
     rules=tuple(RULES),
 )
 def arrange_exchange(placer: ObjectPlacer) -> Goal:

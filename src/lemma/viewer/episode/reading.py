@@ -229,8 +229,9 @@ def explain(
     """
     grounded = decision.grounded
     waypoints = () if grounded is None else planned_path(simulation, grounded)
-    supports = SymbolicState.observe(simulation.scene).supports
-    covers = tuple((low, top) for top, low in supports.items() if low != TABLE)
+    now = SymbolicState.observe(simulation.scene)
+    pairs = (*now.supports.items(), *now.seconds.items())
+    covers = tuple((low, top) for top, low in pairs if low != TABLE)
     return Explanation(time_s, insight, decision.subtask.robot, waypoints, covers)
 
 
