@@ -22,6 +22,7 @@ from lemma.scene.cameras import Camera, CameraIntrinsics
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.pad import PAD_RADIUS_M
+from lemma.scene.objects.plank import PLANK_LENGTH_M, PLANK_WIDTH_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
@@ -48,10 +49,12 @@ def of_test_split(task: str) -> list[Instance]:
 
 
 def boxes(placed: ObjectPlacement) -> list[Box]:
-    """Outline of a cube or the stick."""
+    """Outline of a cube, a plank or the stick."""
     half = STICK_SECTION_M / 2
     if placed.kind == "cube":
         return [(placed.pose, CUBE_EDGE_M / 2, CUBE_EDGE_M / 2)]
+    if placed.kind == "plank":
+        return [(placed.pose, PLANK_LENGTH_M / 2, PLANK_WIDTH_M / 2)]
     hook_u, hook_v = HANDLE_LENGTH_M - half, HOOK_LENGTH_M / 2 - half
     return [
         (placed.pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0), HANDLE_LENGTH_M / 2, half),
@@ -166,7 +169,7 @@ def cannot(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
     could = could_of(robot.arm)
     rim = min(math.dist(point, robot.base.xy) for point in outline(placed))
     # An object on a pad or a cube has its middle above it.
-    support = {"pad": PAD_RADIUS_M, "cube": CUBE_EDGE_M / 2, "stick": 0.0}[placed.kind]
+    support = {"pad": PAD_RADIUS_M, "cube": CUBE_EDGE_M / 2}.get(placed.kind, 0.0)
     middle = robot.base.distance(placed.pose) if support else math.inf
     # 3 cm of margin, of which discs around what is square take nothing away.
     return rim >= could.touch_m + 0.029 and middle - support >= could.place_m + 0.019

@@ -23,6 +23,7 @@ from lemma.planning.symbolic_state import SymbolicState
 from lemma.robots.could import could_of
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_RADIUS_M
+from lemma.scene.objects.plank import PLANK_LENGTH_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal, On
@@ -123,8 +124,9 @@ def test_whoever_could_be_done_without_is_found() -> None:
 def could(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
     """Whether a robot could touch a thing or put another on it, by the bound alone."""
     reach, away = could_of(robot.arm), robot.base.distance(placed.pose)
-    size = {"cube": math.sqrt(0.5) * CUBE_EDGE_M, "pad": PAD_RADIUS_M}[placed.kind]
-    return away - size < max(reach.touch_m, reach.place_m)
+    cube_m = math.sqrt(0.5) * CUBE_EDGE_M
+    sizes = {"cube": cube_m, "pad": PAD_RADIUS_M, "plank": 0.5 * PLANK_LENGTH_M}
+    return away - sizes[placed.kind] < max(reach.touch_m, reach.place_m)
 
 
 def may_act(instance: Instance) -> list[str]:

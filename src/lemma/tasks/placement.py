@@ -373,13 +373,18 @@ class ObjectPlacer:
         """Return whether an object would have clearance to robots and objects."""
         return all(
             gap_m(kind, pose, None, robot.base)
-            >= sweep_radius_m(robot.arm) + BESIDE_BASE_M
+            >= sweep_radius_m(robot.arm) + beside_base_m(kind)
             for robot in self.robots
         ) and all(
             gap_m(kind, pose, placed.entity.kind, placed.pose)
             >= kind.spacing_to(placed.entity.kind)
             for placed in self.objects
         )
+
+
+def beside_base_m(kind: ObjectKind) -> float:
+    """Return the least distance from the area swept around a base to a centre [m]."""
+    return max(BESIDE_BASE_M, kind.disc_m)
 
 
 def gap_m(

@@ -22,7 +22,7 @@ from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
-from lemma.tasks.placement import BESIDE_BASE_M, ObjectPlacer, PlacementError, gap_m
+from lemma.tasks.placement import ObjectPlacer, PlacementError, beside_base_m, gap_m
 from lemma.tasks.task import TASKS, Task
 from lemma.tasks.teams.layouts import (
     APART_M,
@@ -261,7 +261,8 @@ def _crowded(instance: Instance) -> Iterator[str]:
                 )
         for robot, phrase in zip(robots, phrases, strict=True):
             away = gap_m(one.entity.kind, one.pose, None, robot.base)
-            if away < sweep_radius_m(robot.arm) + BESIDE_BASE_M - _ROUNDED_M:
+            beside_m = beside_base_m(one.entity.kind)
+            if away < sweep_radius_m(robot.arm) + beside_m - _ROUNDED_M:
                 yield f"The {one.entity.phrase} lies at the {phrase}'s base."
 
 
