@@ -34,7 +34,10 @@ def test_sizes_are_those_of_the_design() -> None:
     assert PAD_RADIUS_M == 0.06
     assert (HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M) == (0.75, 0.15, 0.03)
     heights = {kind: OBJECT_KINDS[kind].height_m for kind in OBJECT_KINDS}
-    assert heights == {"cube": 0.05, "pad": 0.035, "plank": 0.03, "stick": 0.03}
+    assert heights == {
+        **{"cube": 0.05, "pad": 0.035, "plank": 0.03, "stick": 0.03},
+        **{"tray": 0.03, "rack": 0.06},
+    }
 
 
 @pytest.mark.parametrize("color", OBJECT_COLORS)

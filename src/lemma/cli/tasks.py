@@ -4,6 +4,7 @@ from typing import Any
 
 from lemma.cli.options import JsonFlag, SuiteName, print_json, print_table
 from lemma.scene.objects.entity import STICK
+from lemma.tasks.names import UNLISTED
 from lemma.tasks.suite import LISTED, SUITES, TASKS, default_split, load_instance
 
 _HEADER = (
@@ -20,7 +21,8 @@ def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
             for three and four robots.
         as_json: Print a JSON list instead of a table.
     """
-    names = (*SUITES[suite], *(name for name in TASKS if name not in LISTED))
+    own = (name for name in TASKS if name not in (*LISTED, *UNLISTED))
+    names = (*SUITES[suite], *(UNLISTED if suite == "teams" else ()), *own)
     records = [describe(name) for name in names]
     if as_json:
         print_json(records)

@@ -110,11 +110,9 @@ def ground_move(
     cube = subtask.pick
     if cube not in now.supports or now.on_top_of(cube) is not None:
         return None
-    start, kind = now.poses[cube], kind_of(cube)
+    start, kind, robot = now.poses[cube], kind_of(cube), subtask.robot
     second: str | None = None
-    if not geometry.reaches(subtask.robot, start):
-        return None
-    if geometry.overload(subtask.robot, cube):
+    if not geometry.reaches(robot, start) or geometry.overload(robot, cube):
         return None
     if subtask.place in geometry.regions:
         obstacles = geometry.discs(now, but=cube)

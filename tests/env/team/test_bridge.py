@@ -203,7 +203,7 @@ def test_a_bridge_cannot_be_told_in_pddl() -> None:
         to_pddl("bridge", now, instance.goal, GeometricGrounder(instance.scene))
 
 
-# --- Who is needed -----------------------------------------------------------------
+# --- Robots that are needed -------------------------------------------------------
 
 
 def test_a_plank_in_the_hand_reaches_farther() -> None:

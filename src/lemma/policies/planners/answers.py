@@ -7,9 +7,10 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
+from lemma.planning.carrying import is_carried
 from lemma.planning.primitives import PRIMITIVES
 from lemma.scene.objects.entity import SHARED, STICK, kind_of
-from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.subtask import JOINT, STOP, Primitive, SubTask
 
 NONE = "none"
 """Value for no robot and no object."""
@@ -86,8 +87,14 @@ class AnswerFormat:
 
     @cached_property
     def primitives(self) -> tuple[str, ...]:
-        """Valid primitives; without a stick in the scene, only those that need none."""
-        usable = (n for n in PRIMITIVES if self.has_stick or not PRIMITIVES[n].tool)
+        """Valid primitives. Some need a stick, some an object that two robots carry."""
+        joint = any(map(is_carried, self.objects))
+        usable = (
+            name
+            for name in PRIMITIVES
+            if (self.has_stick or not PRIMITIVES[name].tool)
+            and (joint or name not in JOINT)
+        )
         return (*usable, *([WAIT] if self.may_wait else []))
 
     @property
