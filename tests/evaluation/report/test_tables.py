@@ -141,12 +141,13 @@ def test_seeds_count_once_and_share_their_data() -> None:
         weights = {"reachnet": {**made.about["weights"]["reachnet"], "data": data}}
         return replace(made, about={**made.about, "weights": weights})
 
-    first = trained(0, digest="a", renderer="one card", episodes="e")
-    # The digest covers the card that rendered the images; that of episodes does not.
-    entries_of([first, trained(1, digest="b", renderer="another", episodes="e")])
+    first = trained(0, digest="a", renderer="one card", of_any_renderer="e")
+    # The digest covers the card that rendered the images; the other one does not.
+    entries_of([first, trained(1, digest="b", renderer="another", of_any_renderer="e")])
     for other in (
-        trained(1, digest="b", renderer="one card", episodes="e"),
-        trained(1, digest="b", renderer="another", episodes="f"),
+        trained(1, digest="b", renderer="one card", of_any_renderer="e"),
+        trained(1, digest="b", renderer="another", of_any_renderer="f"),
+        trained(1, digest="b", renderer="another"),
     ):
         with pytest.raises(DatasetError, match="other data"):
             entries_of([first, other])

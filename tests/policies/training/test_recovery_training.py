@@ -190,7 +190,7 @@ def test_recovery_states_are_never_validated_on(
     assert not any(judged)
     assert sum(trained) == len(trained) // 4 == 12
     assert report.passes == 1.2
-    kept = {"benchmark", "digest", "episodes", "renderer", "recovery"}
+    kept = {"benchmark", "digest", "of_any_renderer", "renderer", "recovery"}
     assert set(report.data) == kept
 
 

@@ -286,16 +286,15 @@ def _same_data(one: Result, other: Result) -> bool:
     """Return whether each part of a policy was trained on the same data.
 
     The digest of data covers the graphics card that rendered the images. Where cards
-    differ, the digests of the episodes are compared, if both trainings recorded them.
+    differ, both trainings must have recorded the digest without it.
     """
     weights, others = one.about["weights"], other.about["weights"]
     if set(weights) != set(others):
         return False
     for name, entry in weights.items():
         data, same = entry.get("data", {}), others[name].get("data", {})
-        key = "digest"
-        if data.get("renderer") != same.get("renderer"):
-            key = "episodes" if "episodes" in data and "episodes" in same else ""
-        if key and data.get(key) != same.get(key):
+        is_rendered_alike = data.get("renderer") == same.get("renderer")
+        key = "digest" if is_rendered_alike else "of_any_renderer"
+        if data.get(key) != same.get(key) or not (is_rendered_alike or key in data):
             return False
     return True

@@ -94,15 +94,25 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
         name: entry.get("content_sha256", entry["sha256"])
         for name, entry in files.items()
     }
-    hashed = {"about": {**about, "versions": decisive}, "content": content}
-    text = json.dumps(hashed, sort_keys=True)
-    episodes = json.dumps(content, sort_keys=True)
-    return {
-        "benchmark": BENCHMARK_VERSION,
-        "digest": hashlib.sha256(text.encode()).hexdigest(),
-        "episodes": hashlib.sha256(episodes.encode()).hexdigest(),
-        "renderer": about.get("renderer", ""),
-    }
+    renderer = about.get("renderer", "")
+    digests = digests_of({**about, "versions": decisive}, content)
+    return {"benchmark": BENCHMARK_VERSION, **digests, "renderer": renderer}
+
+
+def digests_of(about: dict[str, Any], content: dict[str, str]) -> dict[str, str]:
+    """Return the digest of rendered keyframes, and one that any renderer gives.
+
+    Args:
+        about: Form, versions and renderer.
+        content: For each file, the digest of its episodes.
+    """
+
+    def digest(settings: dict[str, Any]) -> str:
+        hashed = {"about": settings, "content": content}
+        return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
+
+    rest = {name: value for name, value in about.items() if name != "renderer"}
+    return {"digest": digest(about), "of_any_renderer": digest(rest)}
 
 
 def read_frames(
