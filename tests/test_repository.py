@@ -41,8 +41,7 @@ LONGER_FILES = (
     *("policies/models/cliport/networks.py", "policies/models/episodic_transformer.py"),
     *("policies/models/reachnet/grounder.py", "policies/models/reachnet/planner.py"),
     *("policies/models/reachnet/utility.py", "core/workers/pool.py"),
-    *("tasks/placement.py", "planning/primitives.py", "env/team/orders.py"),
-    *("env/test_bad_input.py", "serve/test_sockets.py", "tasks/test_sampling.py"),
+    *("env/test_bad_input.py", "serve/test_sockets.py"),
     "evaluation/run/test_fault_isolation.py",
 )
 """These have more, up to :data:`MAX_LONGER_LINES`."""

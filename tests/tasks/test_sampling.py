@@ -22,7 +22,6 @@ from lemma.scene.cameras import Camera, CameraIntrinsics
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.pad import PAD_RADIUS_M
-from lemma.scene.objects.plank import PLANK_LENGTH_M, PLANK_WIDTH_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
@@ -51,10 +50,9 @@ def of_test_split(task: str) -> list[Instance]:
 def boxes(placed: ObjectPlacement) -> list[Box]:
     """Outline of a cube, a plank or the stick."""
     half = STICK_SECTION_M / 2
-    if placed.kind == "cube":
-        return [(placed.pose, CUBE_EDGE_M / 2, CUBE_EDGE_M / 2)]
-    if placed.kind == "plank":
-        return [(placed.pose, PLANK_LENGTH_M / 2, PLANK_WIDTH_M / 2)]
+    if placed.kind in ("cube", "plank"):
+        x, y, _ = placed.entity.kind.parts[0].size_m
+        return [(placed.pose, x, y)]
     hook_u, hook_v = HANDLE_LENGTH_M - half, HOOK_LENGTH_M / 2 - half
     return [
         (placed.pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0), HANDLE_LENGTH_M / 2, half),
@@ -115,10 +113,9 @@ def test_everything_lies_on_the_table_and_clear_of_the_robots(task: str) -> None
             rim = outline(placed)
             assert max(abs(x) for x, _ in rim) < TABLE_HALF_X_M
             assert max(abs(y) for _, y in rim) < TABLE_HALF_Y_M
-            if instance.scene.gap_m is not None:
-                left, right = instance.scene.gap_m
+            if edges := instance.scene.gap_m:
                 xs = [x for x, _ in rim]
-                assert max(xs) < left or min(xs) > right
+                assert max(xs) < edges[0] or min(xs) > edges[1]
             for robot in instance.scene.robots:
                 near = min(math.dist(point, robot.base.xy) for point in rim)
                 assert near > sweep_radius_m(robot.arm)

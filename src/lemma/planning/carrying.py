@@ -6,18 +6,14 @@ from lemma.core.poses import Pose2
 from lemma.motion.joint import CARRY_M_S, nearest_robot
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.planning.validity import why_not_carry
 from lemma.robots.reach import TRAVEL_HEIGHT_M
-from lemma.scene.objects.entity import is_region, kind_of
+from lemma.scene.objects.entity import kind_of
 from lemma.tasks.subtask import GroundedSubTask, SubTask
 
 _UP_AND_DOWN_M = 2.0 * TRAVEL_HEIGHT_M
 _ONE_HAND_S = 1.5
 """Time to lift and lower that the prediction for one hand counts [s]."""
-
-
-def is_carried(name: str) -> bool:
-    """Whether an object is carried by two robots at once."""
-    return not is_region(name) and kind_of(name).carried is not None
 
 
 def ground_carry(
@@ -69,19 +65,3 @@ def ground_carry(
         alone_s - _ONE_HAND_S + 1.5 * way_m / CARRY_M_S,
         theirs=GroundedSubTask(partner, subtask.primitive, *hands[partner]),
     )
-
-
-def why_not_carry(subtask: SubTask, now: SymbolicState) -> str | None:
-    """Return why nobody could carry something somewhere; None if somebody might."""
-    pick, place = subtask.pick, subtask.place
-    carried = kind_of(pick).carried
-    if carried is None:
-        return f"The {pick} has no two handles by which it is carried."
-    if is_region(place) or kind_of(place).support_m is None or place == pick:
-        return f"The {pick} cannot be put on {place}."
-    if kind_of(place).side_m < carried.rest_m:
-        return f"The {place} is too small for the {pick}."
-    above = now.on_top_of(place)
-    if above is not None and above != pick:
-        return f"The {above} lies on the {place}."
-    return f"The {pick} lies there already." if now.has(pick, place) else None

@@ -6,15 +6,26 @@ is in :mod:`lemma.planning.primitives`. An infeasible sub-task is refused with t
 outcome at every level.
 """
 
+from dataclasses import replace
+
 from lemma.core.errors import UnknownNameError
+from lemma.core.poses import Pose2
 from lemma.motion.outcome import Outcome, SkillResult, has_fallen
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.primitives import PRIMITIVES
-from lemma.planning.symbolic_state import SymbolicState
+from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.entity import STICK
-from lemma.tasks.subtask import Primitive, SubTask
+from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
-__all__ = ["GeometricGrounder", "GroundedOption", "ground_or_refuse"]
+__all__ = [
+    "GeometricGrounder",
+    "GroundedOption",
+    "at_poses",
+    "ground_or_refuse",
+    "is_as_predicted",
+]
+
+_AS_PREDICTED_M = 0.03
 
 
 class GeometricGrounder(SceneGeometry):
@@ -112,3 +123,36 @@ def _why_unreachable(
         f"{robot} ({arm}) finds no way to {subtask.primitive} the {subtask.pick} "
         f"for {subtask.place}: it is too far, or something is in the way."
     )
+
+
+def is_as_predicted(
+    now: SymbolicState, option: GroundedOption, before: SymbolicState
+) -> bool:
+    """Return whether the objects that an option moves lie as it predicted.
+
+    Args:
+        now: The present state.
+        option: The grounded option.
+        before: The state in which it was grounded.
+    """
+    after = option.after
+    return all(
+        now.supports.get(name) == after.supports.get(name)
+        and now.seconds.get(name) == after.seconds.get(name)
+        and now.poses[name].distance(pose) < _AS_PREDICTED_M
+        for name, pose in after.poses.items()
+        if pose != before.poses[name] and name in now.poses
+    )
+
+
+def at_poses(option: GroundedOption, grounded: GroundedSubTask) -> GroundedOption:
+    """Return an option whose effect is at a policy's own poses."""
+    pick = option.subtask.pick
+    pose = option.after.poses.get(pick)
+    if option.subtask.primitive is not Primitive.MOVE or pose is None:
+        return replace(option, grounded=grounded)
+    at = Pose2(grounded.place.x, grounded.place.y, pose.yaw)
+    after, support = option.after, option.after.supports.get(pick, TABLE)
+    second = after.seconds.get(pick)
+    moved = after.moved(pick, at, support, after.labels[pick], second)
+    return replace(option, grounded=grounded, after=moved)

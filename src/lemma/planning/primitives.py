@@ -13,11 +13,18 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
 from lemma.motion.skills import SKILLS, SkillMotion
-from lemma.planning.carrying import ground_carry, is_carried, why_not_carry
+from lemma.planning.carrying import ground_carry
 from lemma.planning.geometry import GroundedOption, SceneGeometry
 from lemma.planning.symbolic_state import TABLE, SymbolicState, across_label
+from lemma.planning.validity import (
+    WhyNot,
+    unless_prepared,
+    why_not_carry,
+    why_not_hand,
+    why_not_move,
+)
 from lemma.scene.objects.cube import CUBE
-from lemma.scene.objects.entity import HAND, STICK, kind_of
+from lemma.scene.objects.entity import HAND, STICK, is_carried, kind_of
 from lemma.tasks.drags import (
     grasp_on_stick,
     stick_discs,
@@ -44,8 +51,6 @@ class Wish:
 
 Ground = Callable[[SceneGeometry, SubTask, SymbolicState], GroundedOption | None]
 """Returns a grounded sub-task with its effect, or None if its robot cannot do it."""
-WhyNot = Callable[[SubTask, SymbolicState], str | None]
-"""Returns why no robot could do a sub-task now; None if it is valid."""
 Candidates = Callable[[str, Wish, SymbolicState], Iterable[SubTask]]
 """Returns sub-tasks by which a robot might fulfil a wish."""
 
@@ -297,55 +302,6 @@ def _propose_tool(primitive: Primitive, use: Primitive) -> Candidates:
     return propose
 
 
-def _why_not_move(subtask: SubTask, now: SymbolicState) -> str | None:
-    pick, place, regions = subtask.pick, subtask.place, now.spec.regions
-    if pick == STICK:
-        return None if place in regions else f"The stick cannot be put on {place}."
-    if pick not in now.supports:
-        return f"The {pick} is fixed to the table."
-    if is_carried(pick):
-        return f"One hand cannot hold the {pick}. Two robots carry it."
-    if place == pick or (place not in regions and kind_of(place).support_m is None):
-        return f"The {pick} cannot be put on {place}."
-    for name in (pick, place):
-        above = None if name in regions else now.on_top_of(name)
-        if above is not None and above != pick:
-            return f"The {above} lies on the {name}."
-    if now.has(pick, place):
-        return f"The {pick} lies there already."
-    if place not in regions and _lacks_a_post(pick, place, now):
-        return (
-            f"The {pick} lies on two things, and nothing as high as the {place} stands "
-            "as far from it as the plank spans."
-        )
-    return None
-
-
-def _lacks_a_post(pick: str, place: str, now: SymbolicState) -> bool:
-    return kind_of(pick).span_m is not None and now.across(pick, place) is None
-
-
-def _why_not_hand(subtask: SubTask, now: SymbolicState) -> str | None:
-    pick, primitive = subtask.pick, subtask.primitive
-    if subtask.place != pick:
-        return f"{primitive} has no place: it must be the {pick} again."
-    if primitive is Primitive.LIFT and kind_of(pick).fixed:
-        return f"The {pick} is fixed to the table."
-    above = now.on_top_of(pick)
-    return None if above is None else f"The {above} lies on the {pick}."
-
-
-def _unless_prepared(prepare: Primitive) -> WhyNot:
-    def why_not(subtask: SubTask, now: SymbolicState) -> str | None:
-        if now.is_prepared(subtask.primitive, subtask.place):
-            return None
-        return (
-            f"The stick does not lie ready for {subtask.place}: {prepare} comes first."
-        )
-
-    return why_not
-
-
 PRIMITIVES.add(
     Primitive.MOVE,
     PrimitiveSpec(
@@ -354,7 +310,7 @@ PRIMITIVES.add(
         skill=SKILLS[Primitive.MOVE],
         ground=ground_move,
         candidates=_propose_move,
-        why_not=_why_not_move,
+        why_not=why_not_move,
     ),
 )
 for _prepare, _where, _use in (
@@ -380,7 +336,7 @@ for _prepare, _where, _use in (
             skill=SKILLS[_use],
             ground=ground_drag,
             candidates=_propose_tool(_use, _use),
-            why_not=_unless_prepared(_prepare),
+            why_not=unless_prepared(_prepare),
             tool=True,
         ),
     )
@@ -397,7 +353,7 @@ for _hand, _phrase in (
             skill=SKILLS[_hand],
             ground=ground_hand,
             candidates=_propose_hand(_hand),
-            why_not=_why_not_hand,
+            why_not=why_not_hand,
         ),
     )
 PRIMITIVES.add(

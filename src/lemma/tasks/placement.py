@@ -15,6 +15,7 @@ from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import FloatArray, Pose2
 from lemma.core.seeding import ordered_sum
 from lemma.robots.collision_model import sweep_radius_m
+from lemma.scene.objects.entity import is_carried
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.scene.objects.stick import (
@@ -33,12 +34,19 @@ from lemma.tasks.drags import (
     find_drag,
     grasp_on_stick,
     heading_from,
-    stick_gap,
 )
 from lemma.tasks.goal import Goal
 from lemma.tasks.subtask import Primitive
-from lemma.tasks.teams.coalitions import is_carried, needed
-from lemma.tasks.zones import FROM_EDGE_M, Mask, Territory, Zone, ZoneLike
+from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.zones import (
+    FROM_EDGE_M,
+    Mask,
+    Territory,
+    Zone,
+    ZoneLike,
+    beside_base_m,
+    gap_m,
+)
 
 _DRAWS = 2048
 """Number of positions that are drawn at once."""
@@ -46,8 +54,6 @@ _ROUNDS = 4
 _CHECKS = 40
 """Largest number of positions per draw that are checked one by one."""
 _STICK_EDGE_M = 0.05
-BESIDE_BASE_M = 0.06
-"""Smallest gap between an object and the circle that an arm's shoulder sweeps."""
 
 _KINDS = ("cube", "pad")  # Their colors are shuffled first, in this order.
 
@@ -380,28 +386,3 @@ class ObjectPlacer:
             >= kind.spacing_to(placed.entity.kind)
             for placed in self.objects
         )
-
-
-def beside_base_m(kind: ObjectKind) -> float:
-    """Return the least distance from the area swept around a base to a centre [m]."""
-    return max(BESIDE_BASE_M, kind.disc_m)
-
-
-def gap_m(
-    kind: ObjectKind, pose: Pose2, other: ObjectKind | None, place: Pose2
-) -> float:
-    """Return the distance of an object from another or from a base [m].
-
-    Distances are between centres, but from the axes of a stick.
-
-    Args:
-        kind: Kind of the object.
-        pose: World from object.
-        other: Kind of the other object; None for a robot's base.
-        place: World from the other object or base.
-    """
-    if kind.tool:
-        return stick_gap(pose, place.x, place.y)
-    if other is not None and other.tool:
-        return stick_gap(place, pose.x, pose.y)
-    return pose.distance(place)

@@ -22,7 +22,7 @@ from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
-from lemma.tasks.placement import ObjectPlacer, PlacementError, beside_base_m, gap_m
+from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import TASKS, Task
 from lemma.tasks.teams.layouts import (
     APART_M,
@@ -34,7 +34,7 @@ from lemma.tasks.teams.layouts import (
     apart_m,
     gap_beyond,
 )
-from lemma.tasks.zones import FROM_EDGE_M, Zone, ZoneLike
+from lemma.tasks.zones import FROM_EDGE_M, Zone, ZoneLike, beside_base_m, gap_m
 
 _ROUNDED_M = 1e-4
 _AROUND = _ROUNDED_M * np.array(list(product((0.0, -1.0, 1.0), repeat=2)))

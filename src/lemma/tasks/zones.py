@@ -22,6 +22,7 @@ from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_Y_M, Gap, tops
+from lemma.tasks.drags import stick_gap
 
 INSIDE_M = 0.03
 """Smallest margin of a robot's objects inside its reach."""
@@ -32,6 +33,8 @@ REMOTE_M = 0.09
 anything. A cube that a fingertip just reaches, and that then coasts as far as allowed
 (:data:`~lemma.scene.coasting.COAST_M`), does not get there."""
 
+BESIDE_BASE_M = 0.06
+"""Smallest gap between an object and the circle that an arm's shoulder sweeps."""
 FROM_EDGE_M = 0.01
 """Smallest gap between the disc around an object and the table's edge."""
 SLIDE_M = 0.15
@@ -256,3 +259,28 @@ class Territory:
             around = ahead >= r * math.cos(_FACING_RAD)
             seen |= on_map & around & ~hidden & view.sees(x, y)
         return seen
+
+
+def beside_base_m(kind: ObjectKind) -> float:
+    """Return the least distance from the area swept around a base to a centre [m]."""
+    return max(BESIDE_BASE_M, kind.disc_m)
+
+
+def gap_m(
+    kind: ObjectKind, pose: Pose2, other: ObjectKind | None, place: Pose2
+) -> float:
+    """Return the distance of an object from another or from a base [m].
+
+    Distances are between centres, but from the axes of a stick.
+
+    Args:
+        kind: Kind of the object.
+        pose: World from object.
+        other: Kind of the other object; None for a robot's base.
+        place: World from the other object or base.
+    """
+    if kind.tool:
+        return stick_gap(pose, place.x, place.y)
+    if other is not None and other.tool:
+        return stick_gap(place, pose.x, pose.y)
+    return pose.distance(place)

@@ -161,7 +161,9 @@ def _camera_pictures(
     pictures = []
     titles = robot_titles(instance).items()
     for (name, title), seen in zip(titles, images, strict=True):
-        pictures.append((Image.fromarray(seen.rgb), f"{name} ({title}): camera"))
+        # There is no room for the hand over the small image.
+        arm = title.partition(",")[0]
+        pictures.append((Image.fromarray(seen.rgb), f"{name} ({arm}): camera"))
         pictures.append((depth_picture(seen.depth_m, low, high), f"{name}: depth"))
     return pictures
 

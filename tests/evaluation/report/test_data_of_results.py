@@ -1,9 +1,12 @@
 """Data that rows were trained on, rebuilt from the published digests of episodes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from made_up import result
 
+from lemma.core.errors import DatasetError
 from lemma.core.files import read_json
 from lemma.core.version import VERSION
 from lemma.dataset.files import content_digest
@@ -11,6 +14,8 @@ from lemma.dataset.recipe.files import ROW_GROUP
 from lemma.dataset.recipe.replay import expected_digests
 from lemma.dataset.recipe.schema import FORMAT_VERSION
 from lemma.dataset.rendered.capture import KeyframeForm
+from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.report.policy_results import entries_of
 from lemma.policies.training.run import digests_of
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -46,3 +51,21 @@ def test_all_seeds_were_trained_on_the_demonstrations_of_this_package(
     about |= {"renderer": data["renderer"], "entities": list(ENTITIES)}
     rebuilt = digests_of(about, content())
     assert {name: data[name] for name in rebuilt} == rebuilt
+
+
+def test_seeds_share_their_data() -> None:
+    def trained(seed: int, **data: str) -> Result:
+        made = result(6, seed=seed)
+        weights = {"reachnet": {**made.about["weights"]["reachnet"], "data": data}}
+        return replace(made, about={**made.about, "weights": weights})
+
+    first = trained(0, digest="a", renderer="one card", of_any_renderer="e")
+    # The digest covers the card that rendered the images; the other one does not.
+    entries_of([first, trained(1, digest="b", renderer="another", of_any_renderer="e")])
+    for other in (
+        trained(1, digest="b", renderer="one card", of_any_renderer="e"),
+        trained(1, digest="b", renderer="another", of_any_renderer="f"),
+        trained(1, digest="b", renderer="another"),
+    ):
+        with pytest.raises(DatasetError, match="other data"):
+            entries_of([first, other])

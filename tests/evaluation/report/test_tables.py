@@ -132,25 +132,9 @@ def test_an_evaluated_policy_of_the_registry_is_its_row() -> None:
     assert entry_of(anybody("episodic-transformer+mine")).experiment is None
 
 
-def test_seeds_count_once_and_share_their_data() -> None:
+def test_seeds_count_once() -> None:
     with pytest.raises(DatasetError, match="seed 0"):
         entries_of([result(6), result(4)])
-
-    def trained(seed: int, **data: str) -> Result:
-        made = result(6, seed=seed)
-        weights = {"reachnet": {**made.about["weights"]["reachnet"], "data": data}}
-        return replace(made, about={**made.about, "weights": weights})
-
-    first = trained(0, digest="a", renderer="one card", of_any_renderer="e")
-    # The digest covers the card that rendered the images; the other one does not.
-    entries_of([first, trained(1, digest="b", renderer="another", of_any_renderer="e")])
-    for other in (
-        trained(1, digest="b", renderer="one card", of_any_renderer="e"),
-        trained(1, digest="b", renderer="another", of_any_renderer="f"),
-        trained(1, digest="b", renderer="another"),
-    ):
-        with pytest.raises(DatasetError, match="other data"):
-            entries_of([first, other])
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,17 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
-from lemma.core.poses import Pose2
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
 from lemma.env.team.records import Done, Order, TeamState, works_on
 from lemma.motion.leaving import ROOM_M
 from lemma.motion.outcome import SkillResult
-from lemma.planning.grounding import GeometricGrounder, GroundedOption, ground_or_refuse
+from lemma.planning.grounding import (
+    GeometricGrounder,
+    GroundedOption,
+    at_poses,
+    ground_or_refuse,
+    is_as_predicted,
+)
 from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.build import TIME_STEP_S
@@ -26,7 +31,6 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 LOOK_S = 0.05
 """Time between two checks for effects [s]."""
-_AS_PREDICTED_M = 0.03
 
 
 class Team:
@@ -103,7 +107,7 @@ class Team:
                 # A retreating robot also goes home, with its load.
                 if robot not in simulation.held():
                     found.add(robot)
-            elif _is_as_predicted(now, order.option, order.before):
+            elif is_as_predicted(now, order.option, order.before):
                 found.add(robot)
         for robot in found:
             self._effects.setdefault(robot, simulation.time_s)
@@ -175,7 +179,7 @@ class Team:
             return self._end(Done(robot, subtask, None, found, start_s))
         option = found if isinstance(found, GroundedOption) else None
         if grounded is not None and option is not None:
-            option = _at(option, grounded)
+            option = at_poses(option, grounded)
         poses = grounded or (option.grounded if option else None)
         assert poses is not None
         partner = self.episode.simulation.partner_of(poses)
@@ -377,29 +381,3 @@ class Team:
         """Restore what :meth:`state` returned, after restoring the episode."""
         self.orders, self._rests = dict(state.orders), dict(state.rests)
         self._effects = dict(state.effects)
-
-
-def _is_as_predicted(
-    now: SymbolicState, option: GroundedOption, before: SymbolicState
-) -> bool:
-    after = option.after
-    return all(
-        now.supports.get(name) == after.supports.get(name)
-        and now.seconds.get(name) == after.seconds.get(name)
-        and now.poses[name].distance(pose) < _AS_PREDICTED_M
-        for name, pose in after.poses.items()
-        if pose != before.poses[name] and name in now.poses
-    )
-
-
-def _at(option: GroundedOption, grounded: GroundedSubTask) -> GroundedOption:
-    """Return an option whose effect is at a policy's own poses."""
-    pick = option.subtask.pick
-    pose = option.after.poses.get(pick)
-    if option.subtask.primitive is not Primitive.MOVE or pose is None:
-        return replace(option, grounded=grounded)
-    at = Pose2(grounded.place.x, grounded.place.y, pose.yaw)
-    after, support = option.after, option.after.supports.get(pick, TABLE)
-    second = after.seconds.get(pick)
-    moved = after.moved(pick, at, support, after.labels[pick], second)
-    return replace(option, grounded=grounded, after=moved)

@@ -7,7 +7,7 @@ fingers, and park the arm. Like that policy, it gets privileged state, the goal 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import copy
 from itertools import pairwise
 from typing import Any, Literal
@@ -281,12 +281,7 @@ class HandTeamPolicy(HandPolicy):
     any size. It does not read the instruction.
     """
 
-    @torch.no_grad()
-    def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
-        """Return the next action for each episode."""
-        return [self._step(control_input) for control_input in inputs]
-
-    def _step(self, control_input: ControlInput) -> Actions:
+    def _act(self, control_input: ControlInput) -> Actions:
         seen, memory = control_input.observation, control_input.memory
         # Copy the memory: an episode may continue from it more than once.
         team = HandTeam(seen) if memory is None else copy(memory)

@@ -7,9 +7,8 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
-from lemma.planning.carrying import is_carried
 from lemma.planning.primitives import PRIMITIVES
-from lemma.scene.objects.entity import SHARED, STICK, kind_of
+from lemma.scene.objects.entity import SHARED, STICK, is_carried, kind_of
 from lemma.tasks.subtask import JOINT, STOP, Primitive, SubTask
 
 NONE = "none"

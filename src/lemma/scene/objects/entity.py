@@ -90,6 +90,11 @@ def is_region(name: str) -> bool:
     return name == SHARED or name.startswith(f"{SHARED}_")
 
 
+def is_carried(name: str) -> bool:
+    """Return whether a name is of an object that two robots carry by its handles."""
+    return not is_region(name) and kind_of(name).carried is not None
+
+
 def entity_named(name: str) -> Entity:
     """Return the entity of a name.
 

@@ -18,7 +18,7 @@ import numpy as np
 from lemma.core.poses import Pose2
 from lemma.core.robot_names import robot_name
 from lemma.core.seeding import ordered_sum
-from lemma.scene.objects.entity import entity_named
+from lemma.scene.objects.entity import entity_named, is_carried
 from lemma.scene.objects.kind import ObjectKind
 from lemma.scene.spec import ObjectPlacement
 from lemma.tasks.goal import Goal, On
@@ -107,11 +107,6 @@ def lack_of(
     """
     whole = _Coalition(territory, objects, _free_to_act(territory, goal))
     return next(filter(None, map(whole.lack, goal.placements)), None)
-
-
-def is_carried(name: str) -> bool:
-    """Whether a thing is carried by two robots at once, each at one handle."""
-    return entity_named(name).kind.carried is not None
 
 
 def handles_beyond(
