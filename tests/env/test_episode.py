@@ -10,10 +10,11 @@ from small_tables import cube, facing, pad
 from lemma.core.errors import InvalidConfigError, ResetNeededError, UnknownNameError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import STILL_S, Episode
-from lemma.env.simulation import HORIZON_S, TICK_S
+from lemma.env.simulation import HORIZON_S
 from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome
 from lemma.motion.skills import SkillRunner
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.pad import PAD_THICKNESS_M
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance

@@ -10,8 +10,9 @@ from lemma.env.config import EnvConfig
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S, Simulation
+from lemma.env.simulation import Simulation
 from lemma.expert.expert import Expert, solve
+from lemma.scene.build import TICK_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
 from lemma.scene.objects.cube import CUBE, CUBE_EDGE_M
 from lemma.scene.objects.kind import ObjectKind

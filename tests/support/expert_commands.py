@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S
 from lemma.expert.expert import Expert, solve
+from lemma.scene.build import TICK_S
 from lemma.tasks.suite import load_instance
 
 HZ = 20

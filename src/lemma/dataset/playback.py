@@ -15,7 +15,8 @@ from lemma.core.poses import FloatArray
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S, Simulation
+from lemma.env.simulation import Simulation
+from lemma.scene.build import TICK_S
 from lemma.tasks.subtask import GroundedSubTask
 from lemma.tasks.suite import FREE_SPLIT
 

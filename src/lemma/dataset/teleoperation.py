@@ -23,8 +23,9 @@ from lemma.dataset.playback import MotorCommands, Watcher, carry_out, unwatched
 from lemma.dataset.recipe.record import EpisodeRecorder, in_names, pose_row
 from lemma.dataset.recipe.schema import EpisodeRecord, SubTaskRecord
 from lemma.env.episode import STILL_S, Episode
-from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
+from lemma.env.simulation import HORIZON_S, Simulation
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.overlaps import check_place
 from lemma.tasks.instance import Instance

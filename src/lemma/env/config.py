@@ -14,8 +14,9 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
 from lemma.core.robot_names import robot_names
 from lemma.env.camera_rig import camera_names, close_cameras
 from lemma.env.observation import MAX_INSTRUCTION_LENGTH, OBSERVATIONS
-from lemma.env.simulation import HORIZON_S, TICK_S
+from lemma.env.simulation import HORIZON_S
 from lemma.robots.ur.build import ARMS
+from lemma.scene.build import TICK_S
 from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.cameras import CLOSE_PX
 from lemma.scene.objects.entity import known_entities

@@ -10,7 +10,7 @@ from lemma.env.config import EnvConfig
 from lemma.env.control.controllers import Controller, StepSize
 from lemma.env.control.modes import CONTROLS
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S
+from lemma.scene.build import TICK_S
 
 SETTLE_S = 0.5
 """The episode ends when its goal has held for this time [s]."""

@@ -7,12 +7,12 @@ from typing import Any
 
 from lemma.core.arguments import real
 from lemma.core.errors import InvalidConfigError, ResetNeededError
-from lemma.env.simulation import HORIZON_S, TICK_S, Simulation
+from lemma.env.simulation import HORIZON_S, Simulation
 from lemma.env.snapshots import SimulationSnapshot
 from lemma.env.stages import StageState, StageWatch
 from lemma.motion.leaving import NOTHING_LEAVES
 from lemma.motion.outcome import Outcome, SkillResult
-from lemma.scene.build import TIME_STEP_S
+from lemma.scene.build import TICK_S, TIME_STEP_S
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import GroundedSubTask

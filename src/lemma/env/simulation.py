@@ -27,14 +27,12 @@ from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import Reservations
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.build import TIME_STEP_S
+from lemma.scene.build import TICK_S, TIME_STEP_S
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask
 
-TICK_S = 0.01
-"""Servo tick: how often skills look at the world."""
 STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
 HORIZON_S = 100.0
 """T_max: simulated seconds after which an episode ends (paper, section IV)."""

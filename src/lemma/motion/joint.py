@@ -21,6 +21,7 @@ from lemma.motion.moves import Motion, Moves, Stand
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.kind import Carried
 from lemma.scene.scene import Scene
@@ -33,7 +34,6 @@ CARRY_M_S = 0.2
 """Speed at which two robots carry a thing, on average over each part of the way."""
 _HANDLE_M = 0.06
 """A pick pose means a handle if it is no farther from it than this [m]."""
-_TICK_S = 0.01
 _TURN_M = 0.3
 """A turn by one radian takes as long as a way of this length."""
 _PRESS_M = 0.0005
@@ -112,7 +112,7 @@ class Joint:
             turn = wrap(b.yaw - a.yaw)
             way = max(a.distance(b), abs(high - low), _TURN_M * abs(turn))
             # A cubic ease peaks at 1.5 times its mean speed.
-            ticks = max(2, round(1.5 * way / CARRY_M_S / _TICK_S))
+            ticks = max(2, round(1.5 * way / CARRY_M_S / TICK_S))
             for i in range(1, ticks + 1):
                 t = i / ticks
                 t = t * t * (3.0 - 2.0 * t)

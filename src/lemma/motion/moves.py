@@ -21,6 +21,7 @@ from lemma.robots.collision_model import (
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import GRASP_HEIGHT_M, TRAVEL_HEIGHT_M, gripper_ik
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.build import TICK_S
 
 Motion = Generator[None, None, None]
 Stand = tuple[float, float, float, float]
@@ -56,8 +57,7 @@ _HELD_UP_M = 0.05
 _FINGERS_STILL_M = 2e-5
 _FINGERS_STILL_S = 0.05
 _SETTLE_S = 0.15
-_TICK_S = 0.01
-_TICKS = round(_TIMEOUT_S / _TICK_S)
+_TICKS = round(_TIMEOUT_S / TICK_S)
 
 
 class Moves:
@@ -118,7 +118,7 @@ class Moves:
         for _ in range(100):
             yield
             now = self.scene.opening_m(self.arm.robot)
-            still = still + _TICK_S if abs(now - last) < _FINGERS_STILL_M else 0.0
+            still = still + TICK_S if abs(now - last) < _FINGERS_STILL_M else 0.0
             last = now
             if still >= _FINGERS_STILL_S:
                 break
@@ -160,7 +160,7 @@ class Moves:
                 return
             self.check_tracking()
             error = distance + 0.1 * angle
-            since = 0.0 if error < best - _STALL_PROGRESS_M else since + _TICK_S
+            since = 0.0 if error < best - _STALL_PROGRESS_M else since + TICK_S
             best = min(best, error)
             if contact and since > _TOUCHED_S and distance < _TOUCHED_M:
                 return
@@ -195,7 +195,7 @@ class Moves:
         to objects, and to push a cube.
         """
         length = math.dist(start[:3], end[:3])
-        ticks = max(1, round(length / speed_m_s / _TICK_S))
+        ticks = max(1, round(length / speed_m_s / TICK_S))
         x, y, z, yaw = start
         dx, dy, dz, turn = end[0] - x, end[1] - y, end[2] - z, wrap(end[3] - yaw)
         posture = self.arm.solve_posture(top_down(*end))
@@ -244,7 +244,7 @@ class Moves:
             self.arm.hold()
             self.check_tracking()
             yield
-        for _ in range(round(_SETTLE_S / _TICK_S)):
+        for _ in range(round(_SETTLE_S / TICK_S)):
             yield
 
     def check_tracking(self) -> None:
@@ -289,7 +289,7 @@ class Moves:
         x, y, z = (float(pose[i, 3]) for i in range(3))
         yaw = math.atan2(pose[1, 0], pose[0, 0])
         posture = self.arm.solve_posture(top_down(x, y, height_m, yaw))
-        step = math.copysign(speed_m_s * _TICK_S, height_m - z)
+        step = math.copysign(speed_m_s * TICK_S, height_m - z)
         for _ in range(math.ceil(abs((height_m - z) / step))):
             if posture is None or abs(self.arm.tcp_pose()[2, 3] - z) > _HELD_UP_M:
                 break
@@ -325,7 +325,6 @@ _SLACK_M = 1e-4
 _SPEED_FRACTION = 0.4
 """Fraction of the joints' velocity limits on lines in joint space, which may move the
 gripper far."""
-_TICK_S = 0.01
 _CHECK_RAD = 0.05
 
 
@@ -393,7 +392,7 @@ def _time(arm: ArmMotion, start: FloatArray, end: FloatArray) -> FloatArray:
     limits = _SPEED_FRACTION * np.array(arm.robot.arm.velocity_limits)
     # The peak speed of a cubic profile is 1.5 times its mean speed.
     duration = 1.5 * float((np.abs(end - start) / limits).max())
-    ticks = max(2, math.ceil(duration / _TICK_S))
+    ticks = max(2, math.ceil(duration / TICK_S))
     t = np.arange(1, ticks + 1) / ticks
     ease = t * t * (3.0 - 2.0 * t)
     return start + ease[:, None] * (end - start)

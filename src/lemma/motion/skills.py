@@ -24,6 +24,7 @@ from lemma.motion.staying import HOME_RAD, StayingArms
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import STICK, kind_of
 from lemma.scene.objects.kind import Grasp
 from lemma.scene.objects.stick import STICK_GRASP_HEIGHT_M
@@ -35,7 +36,6 @@ DRAG_HEIGHT_M = 0.022
 """Height at which the stick pushes or pulls: it is 4 mm above the table."""
 DRAG_SPEED_M_S = 0.2
 
-_TICK_S = 0.01
 _MIND_TICKS = 5
 """Servo ticks between two updates of the reservations: 50 ms."""
 _MEETING_M = 0.05
@@ -81,7 +81,7 @@ class SkillRunner:
             # Update all arms, including those whose sub-task began in this tick.
             self.feel(self.arms[name], *self._obstacles.felt[name])
         # The simulated time decides, so that a restored state continues identically.
-        if round(self.scene.time_s / _TICK_S) % _MIND_TICKS == 0:
+        if round(self.scene.time_s / TICK_S) % _MIND_TICKS == 0:
             self.reservations.follow()
         if self.reservations.waits:
             self.reservations.judge(busy)

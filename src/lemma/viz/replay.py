@@ -12,13 +12,13 @@ from lemma.dataset.playback import FrameTaker, MotorCommands, Step, play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
-from lemma.env.simulation import TICK_S
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import Watcher, differences, play_again
 from lemma.expert.expert import Expert, ExpertStep, solve
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import entity_named
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import Primitive, SubTask

@@ -7,7 +7,8 @@ reservations.
 
 from dataclasses import dataclass, field
 
-from lemma.env.simulation import TICK_S, Simulation
+from lemma.env.simulation import Simulation
+from lemma.scene.build import TICK_S
 
 
 @dataclass(slots=True)

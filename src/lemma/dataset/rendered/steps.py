@@ -17,7 +17,7 @@ from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import TeleoperatedRecord, perform
 from lemma.env.episode import Episode
 from lemma.env.observation import object_poses
-from lemma.env.simulation import TICK_S
+from lemma.scene.build import TICK_S
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 

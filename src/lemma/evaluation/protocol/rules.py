@@ -16,7 +16,7 @@ from typing import Any
 from lemma.core.errors import DatasetError
 from lemma.core.workers.resumable import flat
 from lemma.env.episode import LEAST_STEP_S, STILL_S
-from lemma.env.simulation import HORIZON_S, TICK_S
+from lemma.env.simulation import HORIZON_S
 from lemma.env.stages import LOOK_TICKS
 from lemma.evaluation.protocol.expert_times import times_sha256
 from lemma.evaluation.protocol.language_controls import LANGUAGES
@@ -33,7 +33,7 @@ from lemma.evaluation.records import (
     RESULT_VERSION,
 )
 from lemma.motion.outcome import REFUSED, Outcome
-from lemma.scene.build import TIME_STEP_S
+from lemma.scene.build import TICK_S, TIME_STEP_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.pad import PAD

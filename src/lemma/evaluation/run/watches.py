@@ -12,9 +12,10 @@ import numpy as np
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.env.episode import Episode
-from lemma.env.simulation import TICK_S, Simulation
+from lemma.env.simulation import Simulation
 from lemma.robots.collision_model import envelope_of, place_capsules, segment_distance
 from lemma.robots.ur.kinematics import frames
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import STICK
 from lemma.scene.scene import RobotIndex
 

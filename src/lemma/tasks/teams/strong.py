@@ -4,6 +4,7 @@ from lemma.robots.hand import STANDARD, WEAK
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
+from lemma.tasks.teams.families import OF_THREE
 
 HEAVY_KG = 2.4
 """Mass of the heavy cube [kg]: of tungsten. A weak hand does not hold it even at rest:
@@ -16,12 +17,7 @@ its pads bear 1.96 kg by friction."""
     subtasks=3,
     distractors=(0, 1),
     layout="triangle",
-    teams=(
-        ("ur5",) * 3,
-        ("ur5", "ur5", "ur10"),
-        ("ur5", "ur10", "ur10"),
-        ("ur10",) * 3,
-    ),
+    teams=OF_THREE,
     hands=(STANDARD, WEAK, WEAK),
 )
 def arrange_strong(placer: ObjectPlacer) -> Goal:
