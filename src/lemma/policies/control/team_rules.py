@@ -12,10 +12,18 @@ import torch
 from torch import Tensor
 
 from lemma.policies.control.hand_steps import GRIP_M, STEP_M, TURN_RAD, wrapped
-from lemma.policies.control.team_steps import HOLDS, OBJECT, PLACE, Team, TeamPolicy
+from lemma.policies.control.team_steps import (
+    CUBE_M,
+    HOLDS,
+    OBJECT,
+    PLACE,
+    Team,
+    TeamPolicy,
+)
 
 _CLOSED_M, _OPEN_M = 0.04, 0.09
-"""Commanded opening below which fingers grip a cube, and above which they are open [m]."""
+"""Commanded openings below which fingers grip a cube, and above which they are open
+[m]."""
 _AROUND_M, _GRASP_M, _TURN_RAD = 0.02, 0.01, 0.12
 """Distance within which fingers around an object stay there; distance [m] and yaw error
 [rad] within which they close."""
@@ -27,13 +35,14 @@ _CARRY_M, _SAG_M = 0.12, 0.05
 [m]."""
 _ON_M, _AT_M = 0.008, 0.008
 """Horizontal and vertical distance from the place within which fingers open [m]."""
+_LOWER, _PRESSED_M = -0.35, -0.045
+"""Action that lowers an object over its place, and lead of the target at which the
+object is known to rest on something, such as a distractor [m]."""
 _DONE_M, _DONE_UP_M = 0.02, 0.012
 """The same distances within which a released object is in its place [m]."""
 _CLEAR_M, _HOME_M = 0.4, 0.15
 """A hand is out of the way if it is this far from the object, or this near to its home
 [m]."""
-_CUBE_M = 0.025
-"""Height of the grasp position of a cube on the table [m]."""
 
 
 def demonstrate(team: Team) -> Tensor:
@@ -45,12 +54,9 @@ def demonstrate(team: Team) -> Tensor:
     around = (beside < _AROUND_M) & (up.abs() < _AROUND_M)
     grips = holds | (around & (opening < _CLOSED_M))
     acts = _acting(team, grips)
-    carries = acts & grips
-    rows = torch.where(
-        carries[..., None],
-        _carry(team, holds),
-        torch.where(acts[..., None], _fetch(team, beside, around), _retreat(team, beside)),
-    )
+    fetched, retreated = _fetch(team, beside, around), _retreat(team, beside)
+    rows = torch.where(acts[..., None], fetched, retreated)
+    rows = torch.where((acts & grips)[..., None], _carry(team, holds), rows)
     return rows.clamp(-1.0, 1.0)
 
 
@@ -116,18 +122,21 @@ def _carry(team: Team, holds: Tensor) -> Tensor:
     goal = team.goal
     puts = team.margins(team.place) > 0.0
     handed = team.seen(team.shared - team.object)
-    height = team.here[..., 2] + goal[..., OBJECT + 2]
     place = goal[..., PLACE : PLACE + 3]
     way = torch.where(puts[..., None], place[..., :2], handed)
-    up = torch.where(puts, place[..., 2], _CUBE_M - height)
+    up = torch.where(puts, place[..., 2], CUBE_M - team.height)
     beside = torch.linalg.vector_norm(way, dim=-1)
     wanted = (_SLOPE * (beside - _ASIDE_M)).clamp(0.0, _CARRY_M)
     rise = wanted + up
     free = ((_SAG_M - rise) / 0.02).clamp(0.0, 1.0)
-    opens = (beside < _ON_M) & (up.abs() < _AT_M)
+    over, lead = beside < _ON_M, (team.target - team.here)[..., 2]
+    opens = over & ((up.abs() < _AT_M) | (lead < _PRESSED_M))
     grip = torch.where(opens, 1.0, -1.0)
     still = torch.zeros_like(up)
     rows = _steps(team, way * free[..., None], rise.clamp(min=-0.02), still, grip)
+    # Over the place, the lead grows as soon as the object rests on something.
+    lower = torch.where(over & (up < -_AT_M), _LOWER, rows[..., 2])
+    rows = torch.cat([rows[..., :2], lower[..., None], rows[..., 3:]], -1)
     stays = torch.stack([still, still, still, still, grip], -1)
     firm = holds & (team.asked < _CLOSED_M - 0.5 * GRIP_M)
     return torch.where((opens | ~firm)[..., None], stays, rows)

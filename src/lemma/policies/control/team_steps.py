@@ -35,13 +35,15 @@ from lemma.policies.control.hand_steps import (
     wrapped,
 )
 from lemma.policies.control.interfaces import Actions, ControlInput
-from lemma.robots.gripper import TCP_OFFSET_M
+from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.ur.arms import ARMS
 from lemma.robots.ur.kinematics import forward
 
 OBJECT, PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
 HOLDS = NUMBERS.index("holds")
 _NEAR_M, _MARGIN_M, _FAR_M = 0.05, 0.1, 0.3
+CUBE_M = 0.025
+"""Height of the grasp position of a cube on the table [m]."""
 LAYOUT_NAMES = (
     "object_margin",
     "place_margin",
@@ -51,6 +53,7 @@ LAYOUT_NAMES = (
     "shared_left_nearby",
     "home_turn",
     "asked",
+    "object_height_nearby",
 )
 """Names of the features of a hand that depend on the layout of the team."""
 TEAM_FEATURES = FEATURES + len(LAYOUT_NAMES)
@@ -114,6 +117,11 @@ class Team:
         return self.here[..., :2] + self.world(self.goal[..., OBJECT : OBJECT + 2])
 
     @property
+    def height(self) -> Tensor:
+        """The height of the grasp position, (..., 2) [m]."""
+        return self.here[..., 2] + self.goal[..., OBJECT + 2]
+
+    @property
     def place(self) -> Tensor:
         """Its place, x and y, (..., 2, 2) [m]."""
         return self.object + self.world(self.goal[..., PLACE : PLACE + 2])
@@ -161,7 +169,8 @@ class Team:
             (home[..., 2:3] - self.here[..., 2:3]) / _FAR_M,
             torch.tanh(shared / _NEAR_M),
             (turn / TURN_RAD).clamp(-2.0, 2.0),
-            self.asked[..., None] / 0.1,
+            self.asked[..., None] / FINGER_OPENING_M,
+            torch.tanh((self.height[..., None] - CUBE_M) / _NEAR_M),
         ]
         mine = torch.cat(own, -1)
         return torch.cat([mine, mine.flip(-2)], -1)
