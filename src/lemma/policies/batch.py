@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.errors import DatasetError, InvalidConfigError
@@ -18,7 +19,6 @@ from lemma.env.control.key_poses import KINDS
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
 from lemma.policies.interfaces import PolicyInput
 from lemma.robots.ur.arms import ARMS
-from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.raster import UNIT_M, Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
@@ -74,7 +74,11 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The expert's next decision and the true poses, in the world frame."""
+    """The expert's next decision and the true poses, in the world frame.
+
+    In data with teams of different sizes, R is the largest size, and the rows of robots
+    that are not there have no meaning.
+    """
 
     episode: Tensor
     """Number of the episode in the data set, (B,)."""
@@ -99,6 +103,10 @@ class Labels:
     goals: list[GoalPairs]
     """The (top, bottom) entities that the instruction asks for."""
     robot_colors: list[tuple[str, ...]]
+    rules: list[tuple[str, ...]]
+    """The rule of each goal (:mod:`lemma.tasks.teams.rule`); empty without one."""
+    hands: list[tuple[str, ...]]
+    """Names of the robots' hands; empty where all have the standard one."""
     perturbed: Tensor
     """Whether the frames also depend on a perturbation, (B,) bool."""
     kind_and_height: Tensor | None = None
@@ -114,7 +122,6 @@ class Frames:
         maps: MapsInMemory,
         device: torch.device | str = "cpu",
         entities: EntitySet = BENCHMARK,
-        recorded: Sequence[str] = ENTITIES,
     ) -> None:
         """Move maps and labels to a device; they take 5 bytes per cell.
 
@@ -122,11 +129,9 @@ class Frames:
             maps: Maps with the columns of :meth:`load`.
             device: Device of the tensors.
             entities: Entities, in the order of their numbers.
-            recorded: Entities in the order of the column ``objects``.
 
         Raises:
             InvalidConfigError: A decision moves an entity without a number.
-            DatasetError: A scene has an entity without a number.
         """
         columns, self.entities = _with_key_poses(maps.columns), entities
         self.raster = maps.raster
@@ -146,25 +151,28 @@ class Frames:
             "tasks": self.tasks,
             "goals": [tuple((top, bottom) for top, bottom in goal) for goal in goals],
             "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
+            "rules": [tuple(i.get("rule") or ()) for i in instances],
+            "hands": [tuple(i.get("hands", ())) for i in instances],
         }
         perturbed = f"{EXECUTED}robot" in columns
         decisions = _decisions(columns, entities)
         executed = _decisions(columns, entities, EXECUTED) if perturbed else decisions
-        arms = [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
+        arms = _padded(
+            [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
+        )
         keyframe = self._tensor(columns["keyframe"], torch.int64)
         gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
-        objects = poses_of(np.stack(list(columns["objects"])), recorded, entities)
         self._tensors = {
             "episode": torch.cumsum((keyframe == 0).long(), 0) - 1,
             "keyframe": keyframe,
             "decision": self._tensor(decisions, torch.int64),
             "past": self._tensor(_pasts(columns, executed), torch.int64),
             "arms": self._tensor(arms, torch.int64),
-            "objects": self._tensor(objects, torch.float32),
+            "objects": self._tensor(columns["objects"], torch.float32),
             "gap_m": self._tensor(gaps, torch.float32),
             "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
             **{
-                name: self._tensor(np.stack(list(columns[name])), torch.float32)
+                name: self._tensor(_padded(columns[name]), torch.float32)
                 for name in filter(columns.__contains__, (*_SEEN, *_POSES))
             },
         }
@@ -179,6 +187,7 @@ class Frames:
         entities: EntitySet = BENCHMARK,
         *,
         shared: bool = False,
+        mixed: bool = False,
     ) -> "Frames":
         """Read a folder that ``lemma render --form keyframes`` wrote.
 
@@ -190,6 +199,7 @@ class Frames:
             entities: Entities, in the order of their numbers.
             shared: Whether processes of this machine share the maps; see
                 :class:`~lemma.dataset.rendered.dataset.MapsInMemory`.
+            mixed: Whether teams may have different sizes.
 
         Raises:
             DatasetError: Files are missing, damaged or of another version, scenes have
@@ -197,16 +207,23 @@ class Frames:
             InvalidConfigError: A decision moves an entity without a number.
         """
         columns: tuple[str, ...] = _COLUMNS
-        header = keyframe_shards(Path(folder), split, tasks)[0].header
+        shards = keyframe_shards(Path(folder), split, tasks)
+        header = shards[0].header
         if header.perturbed:
             columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
         columns += ("kind", "key_pose") if header.key_poses else ()
         maps = MapsInMemory.load(folder, split, tasks, columns, shared=shared)
-        if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
+        if not mixed and len({np.shape(j) for j in maps.columns["joints"]}) > 1:
             raise DatasetError(
                 f"{folder} mixes teams of different sizes. Choose tasks of one size."
             )
-        return cls(maps, device, entities, header.entities)
+        poses, at = [], 0
+        for header in (shard.header for shard in shards):
+            rows = list(maps.columns["objects"][at : at + sum(header.keyframes)])
+            poses.append(poses_of(np.stack(rows), header.entities, entities))
+            at += len(rows)
+        maps.columns["objects"] = np.concatenate(poses)
+        return cls(maps, device, entities)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -261,6 +278,16 @@ class Frames:
 
     def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+
+
+def _padded(rows: Sequence[Any]) -> NDArray[Any]:
+    """Stack rows of different lengths, with zeros at the ends of shorter ones."""
+    arrays = [np.asarray(row) for row in rows]
+    longest = max(len(array) for array in arrays)
+    found = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), arrays[0].dtype)
+    for row, array in zip(found, arrays, strict=True):
+        row[: len(array)] = array
+    return found
 
 
 def _with_key_poses(columns: dict[str, Any]) -> dict[str, Any]:

@@ -76,8 +76,9 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
 def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     """Return a batch with scenes turned by half a turn, then shifted.
 
-    In turned scenes the robots exchange numbers, because the first robot is at -x.
-    Cells that enter at the border are not covered.
+    In turned scenes the two robots of a pair exchange numbers, because the first robot
+    is at -x; those of larger teams keep theirs. Cells that enter at the border are not
+    covered.
 
     Args:
         batch: Batch with labels.
@@ -87,6 +88,7 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     labels, raster = batch.labels, batch.raster
     assert labels is not None
     robots = labels.bases.shape[1]
+    swapped = turned & (robots == 2)
     rows, rows_seen = _sources(raster.rows, shift[:, 0], turned)
     columns, columns_seen = _sources(raster.columns, shift[:, 1], turned)
     frames = torch.arange(len(batch), device=rows.device)[:, None, None]
@@ -108,13 +110,13 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
         pick_pose=flat(labels.pick_pose),
         place_pose=flat(labels.place_pose),
         objects=_moved_objects(labels.objects, sign, offset, turned),
-        bases=_swapped(flat(labels.bases), turned),
+        bases=_swapped(flat(labels.bases), swapped),
         gap_m=(labels.gap_m * sign[:, None] + offset[:, :1]).sort(1).values,
-        arms=_swapped(labels.arms, turned),
-        decision=_renumbered(labels.decision, turned, robots),
+        arms=_swapped(labels.arms, swapped),
+        decision=_renumbered(labels.decision, swapped, robots),
         robot_colors=[
             colors[::-1] if turn else colors
-            for colors, turn in zip(labels.robot_colors, turned.tolist(), strict=True)
+            for colors, turn in zip(labels.robot_colors, swapped.tolist(), strict=True)
         ],
     )
     return replace(
@@ -122,9 +124,9 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
         rgb=batch.rgb[cells] * seen[..., None],
         height_m=batch.height_m[cells] * seen,
         coverage=batch.coverage[cells] & seen,
-        joints=_swapped(batch.joints, turned),
-        opening_m=_swapped(batch.opening_m, turned),
-        past=_renumbered(batch.past, turned, robots),
+        joints=_swapped(batch.joints, swapped),
+        opening_m=_swapped(batch.opening_m, swapped),
+        past=_renumbered(batch.past, swapped, robots),
         labels=moved,
     )
 
@@ -233,17 +235,22 @@ def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
             decision=_renamed(labels.decision, tables),
             objects=_reordered(labels.objects, tables),
             goals=goals,
+            rules=[
+                rule and _rule_anew(rule, entities, tuple(new))
+                for rule, new in zip(labels.rules, permutation.tolist(), strict=True)
+            ],
         ),
     )
 
 
 def _entity_tables(permutation: Tensor, entities: EntitySet) -> Tensor:
-    """Return the new numbers of entities, ``shared`` and no entity, (B, E + 2)."""
+    """Return the new numbers of entities, regions and no entity, (B, places + 1)."""
     device = permutation.device
     alike = torch.tensor(entities.colored_as, device=device)
     color = permutation[:, list(entities.color_numbers)]
     numbers = alike.expand(len(color), -1, -1).gather(2, color[..., None]).squeeze(2)
-    rest = torch.tensor([entities.shared, NOBODY], device=device)
+    regions = range(len(entities), len(entities.places))
+    rest = torch.tensor([*regions, NOBODY], device=device)
     return torch.cat([numbers, rest.expand(len(permutation), -1)], 1)
 
 
@@ -263,14 +270,28 @@ def _reordered(objects: Tensor, tables: Tensor) -> Tensor:
 
 @lru_cache(maxsize=65536)
 def _said_anew(goal: GoalPairs, entities: EntitySet, new: tuple[int, ...]) -> GoalPairs:
-    def renamed(entity: str) -> str:
-        if entity == HAND:
-            return entity
-        number = entities.number(entity)
-        color = new[entities.color_numbers[number]]
-        return entities.names[entities.colored_as[number][color]]
+    return tuple(
+        (_recolored(top, entities, new), _recolored(bottom, entities, new))
+        for top, bottom in goal
+    )
 
-    return tuple((renamed(top), renamed(bottom)) for top, bottom in goal)
+
+def _rule_anew(
+    rule: tuple[str, ...], entities: EntitySet, new: tuple[int, ...]
+) -> tuple[str, ...]:
+    return tuple(
+        _recolored(name, entities, new) if name in entities.names else name
+        for name in rule
+    )
+
+
+def _recolored(entity: str, entities: EntitySet, new: tuple[int, ...]) -> str:
+    """Return the name of an entity after an exchange of colors."""
+    if entity == HAND:
+        return entity
+    number = entities.number(entity)
+    color = new[entities.color_numbers[number]]
+    return entities.names[entities.colored_as[number][color]]
 
 
 def _painted(batch: Batch, labels: Labels, permutation: Tensor) -> Tensor:

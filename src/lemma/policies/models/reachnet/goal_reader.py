@@ -96,6 +96,21 @@ class Readings(NamedTuple):
     """Probability of refusal, (B,)."""
 
 
+class Mentions(NamedTuple):
+    """Mentions of entities in B sentences, at most M each."""
+
+    said: Tensor
+    """Tokens of the mentions, (B, M, width)."""
+    group: Tensor
+    """Group of entities that each may name, (B, M); -1 in padding."""
+    at: Tensor
+    """Position of each word in its sentence, (B, M)."""
+    tokens: Tensor
+    """Tokens of all words, (B, L, width)."""
+    whole: Tensor
+    """Tokens of whole sentences, (B, width)."""
+
+
 class GoalReader(WordEmbedding):
     """A network from sentences to goals."""
 
@@ -233,31 +248,39 @@ class GoalReader(WordEmbedding):
             each reason for refusal, (B, 1 + reasons), or None; and the position of each
             entity's first mention, (B, T).
         """
-        tokens, whole = self._encoded(sentences)
+        found = self.mentions(sentences)
         order = None
         if self.order is not None:
-            most = tokens.masked_fill(~sentences.mask.unsqueeze(2), _NEVER).amax(1)
-            order = self.order(torch.cat([whole, most], -1)).float().log_softmax(-1)
-        length = tokens.shape[1]
-        place = torch.arange(length, device=tokens.device)
-        at = torch.where(sentences.names != NO_NAME, place, length)
-        at = at.sort(1).values[:, :_MENTIONS]
-        index = at.clamp(max=length - 1)
-        said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
-        names = torch.where(at < length, sentences.names.gather(1, index), NO_NAME)
-        meant = names[:, :, None] == self.group
-        pairs = self._pairs(said, meant)
-        count = self.count(whole).float().log_softmax(-1)
+            words = sentences.mask.unsqueeze(2)
+            most = found.tokens.masked_fill(~words, _NEVER).amax(1)
+            both = torch.cat([found.whole, most], -1)
+            order = self.order(both).float().log_softmax(-1)
+        meant = found.group[:, :, None] == self.group
+        pairs = self.pairs(found.said, meant)
+        count = self.count(found.whole).float().log_softmax(-1)
         # An extra pair of score 0 is the second pair of goals with a single pair.
         flat = F.pad(pairs.flatten(1), (0, 1))
         one = self.goals[..., 0] == NOBODY
         slots = self.goals[..., 0] * self.targets + self.goals[..., 1]
         slots = torch.where(one, flat.shape[1] - 1, slots)
         size = (~one).sum(-1) - 1
-        first = torch.where(meant, at[:, :, None], length).amin(1)
+        length = found.tokens.shape[1]
+        first = torch.where(meant, found.at[:, :, None], length).amin(1)
         return flat[:, slots].sum(-1) + count[:, size], order, first
 
-    def _pairs(self, said: Tensor, meant: Tensor) -> Tensor:
+    def mentions(self, sentences: Sentences, most: int = _MENTIONS) -> Mentions:
+        """Return the mentions of entities in sentences, at most ``most`` each."""
+        tokens, whole = self._encoded(sentences)
+        length = tokens.shape[1]
+        place = torch.arange(length, device=tokens.device)
+        at = torch.where(sentences.names != NO_NAME, place, length)
+        at = at.sort(1).values[:, :most]
+        index = at.clamp(max=length - 1)
+        said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
+        group = torch.where(at < length, sentences.names.gather(1, index), NO_NAME)
+        return Mentions(said, group, at, tokens, whole)
+
+    def pairs(self, said: Tensor, meant: Tensor) -> Tensor:
         """Return the score of each (top, bottom) pair, (B, C, T).
 
         Args:
