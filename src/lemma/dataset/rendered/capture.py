@@ -37,8 +37,8 @@ from lemma.scene.rendering.gl_backend import choose_backend
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import sub_instruction
-from lemma.tasks.task import TASKS
 from lemma.tasks.subtask import STOP
+from lemma.tasks.task import TASKS
 
 _DECISION = ("robot", "primitive", "pick", "place")
 _NOWHERE = (math.nan,) * 3

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
-from lemma.policies.batch import Batch, Frames
+from lemma.policies.batch import Batch
+from lemma.policies.frames import Frames
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig

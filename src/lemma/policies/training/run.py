@@ -19,8 +19,8 @@ from lemma.dataset.files import MANIFEST, read_manifest
 from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.dataset import keyframe_shards
 from lemma.dataset.rendered.keyframes import FORM
-from lemma.policies.batch import Frames
 from lemma.policies.entities import BENCHMARK, EntitySet
+from lemma.policies.frames import Frames
 from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model, options_of
 from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options

@@ -17,13 +17,11 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from lemma.core.arguments import Cost, Depth
-from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.planning.schedule import predecessors
 from lemma.policies.batch import (
     NOBODY,
-    PRIMITIVES,
     Batch,
     Labels,
     decision_numbers,
@@ -47,11 +45,10 @@ from lemma.policies.models.team_reachnet.planner import (
     number_of,
 )
 from lemma.policies.models.team_reachnet.reader import (
-    ROLES,
-    RULES,
     Reading,
     TeamReader,
     Wanted,
+    order_of_parts,
     wanted_of,
 )
 from lemma.policies.models.team_reachnet.table import (
@@ -59,19 +56,20 @@ from lemma.policies.models.team_reachnet.table import (
     ROBOTS,
     TeamTable,
     by_color,
-    color_number,
+    distinct,
+    move_numbers,
     numbers_by_color,
     region_name,
-    region_number,
+    remembered,
     team_table,
     true_table,
+    weak_hands,
 )
 from lemma.policies.text.encoder import Sentences
 from lemma.policies.together.interfaces import Orders, TeamInput
-from lemma.robots.hand import STANDARD
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.subtask import STOP, Primitive, SubTask
-from lemma.tasks.teams.rule import After, Rule
+from lemma.tasks.teams.rule import Rule
 
 _REACH_POINTS = 128
 _LOUDEST = 25.0
@@ -140,11 +138,12 @@ class TeamReachNet(MapModel):
         """Return what sentences say, and who is in each team, as numbers."""
         labels, device = batch.labels, self.device
         assert labels is not None
-        teams, entities = labels.robot_colors, batch.entities
+        teams = [distinct(colors) for colors in labels.robot_colors]
+        entities = batch.entities
         wanted = wanted_of(labels.goals, labels.rules, teams, entities, device)
         words = self.reader.sentences.read(batch.instructions, device)
         moves = [
-            _move_numbers(decision, team, entities)
+            move_numbers(decision, team, entities)
             for decision, team in zip(labels.decision.tolist(), teams, strict=True)
         ]
         return {
@@ -152,7 +151,7 @@ class TeamReachNet(MapModel):
             **{f"wanted_{name}": tensor for name, tensor in wanted._asdict().items()},
             "move": torch.tensor(moves, device=device),
             "robot": numbers_by_color(teams, device),
-            "weak": _weak(labels.hands, teams, device),
+            "weak": weak_hands(labels.hands, teams, device),
         }
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
@@ -317,7 +316,7 @@ class TeamReachNet(MapModel):
             view: The view to plan from.
             most: Largest number of sub-tasks; the last one may be ``stop``.
         """
-        team = tuple(name.split()[-2] for name in given.robots)
+        team = distinct([name.split()[-2] for name in given.robots])
         with self.deciding():
             scene = self._look(given, view, team)
             table, read = scene
@@ -329,13 +328,13 @@ class TeamReachNet(MapModel):
                 move = move_of(scores.argmax(1), cargo, targets)
                 steps.append(self._subtask(move[0].tolist(), team))
                 table = table.moved(move[:, 1], move[:, 2])
-        return steps, _rule(read, self.entities, team)
+        return steps, order_of_parts(read, self.entities)
 
     def _look(self, given: PolicyInput, view: View, team: tuple[str, ...]) -> Scene:
         """Return what is seen in a view, and what the instruction says."""
         first = given.past[0].view if given.past else given.view
         there = numbers_by_color([team], self.device) >= 0
-        weak = _weak([given.hands], [team], self.device)
+        weak = weak_hands([given.hands], [team], self.device)
         tables = [
             team_table(self._scene(replace(given, view=one), team), there, weak)
             for one in (first, view)
@@ -365,7 +364,7 @@ class TeamReachNet(MapModel):
             failures += 1
             if step.subtask.primitive == Primitive.MOVE:
                 numbers = decision_numbers(step.subtask.to_dict(), entities)
-                move = torch.tensor([_move_numbers(numbers, team, entities)])
+                move = torch.tensor([move_numbers(numbers, team, entities)])
                 costs[number_of(move, cargo, targets)] += self.config.failure_cost
         if failures >= _MOST_FAILURES:
             costs[:-1] += _LOUDEST * _LOUDEST
@@ -382,17 +381,6 @@ class TeamReachNet(MapModel):
         return SubTask(who, Primitive.MOVE, names[pick], where)
 
 
-def remembered(now: TeamTable, first: TeamTable) -> TeamTable:
-    """Return scenes with the fixed entities that are hidden now, as seen at first."""
-    hidden = first.there & ~now.there & ~now.cargo
-    return replace(
-        now,
-        there=now.there | hidden,
-        xy=torch.where(hidden[..., None], first.xy, now.xy),
-        clear=now.clear & ~hidden,
-    )
-
-
 def _colored(batch: Batch, numbers: Tensor) -> tuple[Batch, Labels | None]:
     """Return a batch with rows of robots by color, and its labels.
 
@@ -407,48 +395,6 @@ def _colored(batch: Batch, numbers: Tensor) -> tuple[Batch, Labels | None]:
     )
     joints = by_color(batch.joints, numbers)
     return replace(batch, joints=joints, labels=labels), labels
-
-
-def _weak(
-    hands: Sequence[Sequence[str]], teams: Sequence[Sequence[str]], device: torch.device
-) -> Tensor:
-    """Return whether robots have another hand than the standard one, (B, R) bool."""
-    rows = []
-    for names, team in zip(hands, teams, strict=True):
-        held = dict(zip(team, names, strict=False))
-        rows.append([held.get(color, STANDARD) != STANDARD for color in ROBOT_COLORS])
-    return torch.tensor(rows, device=device)
-
-
-def _move_numbers(
-    decision: Sequence[int], team: Sequence[str], entities: EntitySet
-) -> tuple[int, int, int]:
-    """Return color, pick and place of a labelled decision; -1 for ``stop``."""
-    robot, primitive, pick, place = decision
-    if primitive == PRIMITIVES.index("stop"):
-        return NOBODY, NOBODY, NOBODY
-    if primitive != PRIMITIVES.index("move"):
-        raise InvalidConfigError(
-            f"The team's ReachNet knows moves alone, and no {PRIMITIVES[primitive]!r}. "
-            "Leave out the tasks that need it."
-        )
-    if place >= len(entities):
-        name = entities.places[place]
-        place = len(entities) + region_number(name, team)
-    return color_number(robot, team), pick, place
-
-
-def _rule(read: Reading, entities: EntitySet, team: Sequence[str]) -> Rule | None:
-    """Return the rule of one reading if it orders two parts of a goal."""
-    if RULES[int(read.rule[0].argmax())] != After.kind:
-        return None
-    tops = read.roles[0, : len(ROLES) - 1].argmax(-1).tolist()
-    targets = entities.stick
-    names = []
-    for top in tops:
-        bottom = int(read.bottoms[0, top, :targets].argmax())
-        names += [entities.names[top], entities.names[bottom]]
-    return After(*names)
 
 
 MODELS.add("team-reachnet", (TeamReachNet, TeamReachNetConfig))

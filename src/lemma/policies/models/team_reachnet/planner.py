@@ -111,7 +111,10 @@ class TeamPlanner(nn.Module):
         regions = torch.arange(entities + ROBOTS, last, device=tokens.device)
         ends = torch.cat([torch.arange(targets, device=tokens.device), regions])
         pair = relations[:, :cargo, :, :_OBJECTS].index_select(2, ends)
-        reach = relations[:, robots, :, _OBJECTS:][..., [0, 1, 2, 6, 7, 8]]
+        of_robots = relations[:, robots]
+        reach = torch.cat(
+            [of_robots[..., _OBJECTS : _OBJECTS + _REACH], of_robots[..., -_PLACE:]], -1
+        )
         picks, places = reach[:, :, :cargo], reach.index_select(2, ends)
         both = torch.cat(
             [
@@ -223,8 +226,8 @@ def _regions(table: TeamTable) -> Tensor:
     """Return the features of regions, (B, regions, _REGION)."""
     there = regions_there(table.team)
     spots = torch.where(there[..., None], table.spots(), 0.0)
-    of_all = torch.zeros_like(there)
-    of_all[:, 0] = True
+    numbers = torch.arange(len(REGIONS), device=there.device)
+    of_all = (numbers == 0).expand_as(there)
     return torch.cat([spots, there[..., None].float(), of_all[..., None].float()], -1)
 
 

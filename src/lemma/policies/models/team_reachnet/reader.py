@@ -19,6 +19,7 @@ from lemma.policies.models.team_reachnet.table import ROBOTS
 from lemma.policies.text.encoder import Sentences, groups_of
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.teams.rule import After, Rule
 
 RULES = ("", "after", "without", "but")
 """No rule, and the kinds of rules."""
@@ -205,3 +206,16 @@ def _named(logits: Tensor, wanted: Tensor) -> Tensor:
     """Return the mean loss of the rows with a wanted number, divided by all rows."""
     lost = F.cross_entropy(logits, wanted.clamp(min=0), reduction="none")
     return torch.where(wanted >= 0, lost, 0.0).sum() / max(1, len(wanted))
+
+
+def order_of_parts(read: Reading, entities: EntitySet) -> Rule | None:
+    """Return the rule of one reading if it orders two parts of a goal."""
+    if RULES[int(read.rule[0].argmax())] != After.kind:
+        return None
+    tops = read.roles[0, : len(ROLES) - 1].argmax(-1).tolist()
+    targets = entities.stick
+    names = []
+    for top in tops:
+        bottom = int(read.bottoms[0, top, :targets].argmax())
+        names += [entities.names[top], entities.names[bottom]]
+    return After(*names)

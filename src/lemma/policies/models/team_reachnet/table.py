@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from lemma.core.errors import InvalidConfigError
+from lemma.policies.batch import NOBODY, PRIMITIVES
 from lemma.policies.entities import EntitySet, Traits, traits_of
 from lemma.policies.layers import constant
 from lemma.policies.models.reachnet.scene_table import (
@@ -21,6 +23,7 @@ from lemma.policies.models.reachnet.scene_table import (
     SceneTable,
     covered,
 )
+from lemma.robots.hand import STANDARD
 from lemma.scene.objects.entity import SHARED, pair_regions
 from lemma.scene.spec import ROBOT_COLORS
 
@@ -241,6 +244,19 @@ def true_table(
     )
 
 
+def distinct(colors: Sequence[str]) -> tuple[str, ...]:
+    """Return a color for each robot of a team, which no other robot has.
+
+    Both robots of a pair may be of one color: then the left one, which comes first,
+    keeps it, and the right one counts as one of the first other color.
+    """
+    found: list[str] = []
+    for color in colors:
+        others = (other for other in ROBOT_COLORS if other not in (*found, *colors))
+        found.append(color if color not in found else next(others))
+    return tuple(found)
+
+
 def numbers_by_color(teams: Sequence[Sequence[str]], device: torch.device) -> Tensor:
     """Return the number of each color's robot in its team, (B, R); -1 for none.
 
@@ -312,3 +328,43 @@ def members(team: Tensor) -> Tensor:
     """Return whether robots belong to regions, (B, regions, R) bool."""
     pairs = constant(_MEMBERS[1:], team.device).expand(len(team), -1, -1)
     return torch.cat([team[:, None], pairs & team[:, None]], 1)
+
+
+def remembered(now: TeamTable, first: TeamTable) -> TeamTable:
+    """Return scenes with the fixed entities that are hidden now, as seen at first."""
+    hidden = first.there & ~now.there & ~now.cargo
+    return replace(
+        now,
+        there=now.there | hidden,
+        xy=torch.where(hidden[..., None], first.xy, now.xy),
+        clear=now.clear & ~hidden,
+    )
+
+
+def weak_hands(
+    hands: Sequence[Sequence[str]], teams: Sequence[Sequence[str]], device: torch.device
+) -> Tensor:
+    """Return whether robots have another hand than the standard one, (B, R) bool."""
+    rows = []
+    for names, team in zip(hands, teams, strict=True):
+        held = dict(zip(team, names, strict=False))
+        rows.append([held.get(color, STANDARD) != STANDARD for color in ROBOT_COLORS])
+    return torch.tensor(rows, device=device)
+
+
+def move_numbers(
+    decision: Sequence[int], team: Sequence[str], entities: EntitySet
+) -> tuple[int, int, int]:
+    """Return color, pick and place of a labelled decision; -1 for ``stop``."""
+    robot, primitive, pick, place = decision
+    if primitive == PRIMITIVES.index("stop"):
+        return NOBODY, NOBODY, NOBODY
+    if primitive != PRIMITIVES.index("move"):
+        raise InvalidConfigError(
+            f"The team's ReachNet knows moves alone, and no {PRIMITIVES[primitive]!r}. "
+            "Leave out the tasks that need it."
+        )
+    if place >= len(entities):
+        name = entities.places[place]
+        place = len(entities) + region_number(name, team)
+    return color_number(robot, team), pick, place
