@@ -33,7 +33,6 @@ from lemma.policies.text.encoder import (
     groups_of,
 )
 from lemma.policies.text.refusals import REASONS
-from lemma.tasks.language.template import GoalPairs
 
 _MENTIONS = 12
 """Largest number of mentions in a sentence."""
@@ -97,18 +96,18 @@ class Readings(NamedTuple):
 
 
 class Mentions(NamedTuple):
-    """Mentions of entities in B sentences, at most M each."""
+    """At most M mentions of entities in each of B sentences.
+
+    ``tokens`` (B, L, width) are those of all words, ``said`` (B, M, width) those of the
+    mentions, ``whole`` (B, width) those of sentences. ``group`` (B, M) is the group of
+    entities that a mention may name, or -1; ``at`` (B, M) is its place in the sentence.
+    """
 
     said: Tensor
-    """Tokens of the mentions, (B, M, width)."""
     group: Tensor
-    """Group of entities that each may name, (B, M); -1 in padding."""
     at: Tensor
-    """Position of each word in its sentence, (B, M)."""
     tokens: Tensor
-    """Tokens of all words, (B, L, width)."""
     whole: Tensor
-    """Tokens of whole sentences, (B, width)."""
 
 
 class GoalReader(WordEmbedding):
@@ -377,30 +376,3 @@ def _goals(cargo: int, targets: int) -> tuple[Tensor, Tensor]:
         slots = [none if t == NOBODY else t * targets + b for t, b in pairs]
         numbers[tuple(sorted(slots))] = number
     return torch.tensor(found), numbers
-
-
-def goal_numbers(
-    goals: Sequence[GoalPairs],
-    device: torch.device,
-    entities: EntitySet = BENCHMARK,
-) -> Tensor:
-    """Return goals as numbers of entities, (B, conjuncts, 2); -1 for none."""
-    none = (NOBODY, NOBODY)
-    numbers = [
-        [
-            *((entities.number(a), entities.number(b)) for a, b in pairs[:CONJUNCTS]),
-            *(none,) * (CONJUNCTS - len(pairs)),
-        ]
-        for pairs in goals
-    ]
-    return torch.tensor(numbers, device=device)
-
-
-def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:
-    """Return a goal by names.
-
-    Args:
-        rows: Numbers of (top, bottom) pairs; -1 for none.
-        names: Names of the entities.
-    """
-    return tuple((names[a], names[b]) for a, b in rows if a != NOBODY)
