@@ -7,13 +7,16 @@ import torch
 from torch import Tensor
 
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch
+from lemma.policies.batch import NOBODY, Batch
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import Understanding
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     Readings,
 )
+from lemma.policies.models.reachnet.scene_table import CONJUNCTS
 from lemma.policies.text.refusals import REASONS, refusal_bank
+from lemma.tasks.language.template import GoalPairs
 
 WHY = tuple(REASONS.values())
 """Explanations of refusals by the index of the reason."""
