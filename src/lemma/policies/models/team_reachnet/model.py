@@ -100,7 +100,7 @@ class TeamReachNetConfig(MapConfig):
 
 
 class Scene(NamedTuple):
-    """What the policy knows of a table: B scenes, and what the sentences say."""
+    """B scenes as the policy knows them, with the readings of their sentences."""
 
     table: TeamTable
     read: Reading
@@ -135,7 +135,7 @@ class TeamReachNet(MapModel):
         return EntitySet(self.config.entities, REGIONS)
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
-        """Return what sentences say, and who is in each team, as numbers."""
+        """Return words, goals, moves and teams as numbers."""
         labels, device = batch.labels, self.device
         assert labels is not None
         teams = [distinct(colors) for colors in labels.robot_colors]

@@ -34,7 +34,8 @@ class Reading(NamedTuple):
     """Readings of B sentences: logits, or shares of 0 to 1."""
 
     bottoms: Tensor
-    """What each movable entity shall lie on; last, nothing: (B, C, T + 1)."""
+    """The bottom of each movable entity in the goal; the last one stands for none,
+    (B, C, T + 1)."""
     rule: Tensor
     """Kind of the rule, (B, kinds)."""
     roles: Tensor
@@ -60,7 +61,7 @@ class Wanted(NamedTuple):
     """Meanings of B sentences as numbers; -1 for none."""
 
     bottoms: Tensor
-    """What each movable entity shall lie on, (B, C)."""
+    """The bottom of each movable entity in the goal, (B, C)."""
     rule: Tensor
     """Index of the kind of rule, (B,)."""
     roles: Tensor
@@ -147,7 +148,7 @@ class TeamReader(GoalReader):
         self.register_buffer("alike_colors", alike, persistent=False)
 
     def understand(self, sentences: Sentences, there: Tensor) -> Reading:
-        """Return logits of what sentences say.
+        """Return the readings of sentences, as logits.
 
         Args:
             sentences: B sentences.
