@@ -114,14 +114,14 @@ def paraphrase(
         text = _ruled(goal_pairs, rng, rules or grammar())
         return noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
     if held or rng.random() < chances["native"] or len(goal_pairs) > 2:
-        text = _one(_own(task, used), rng).render(goal_pairs)
+        text = one_of(_own(task, used), rng).render(goal_pairs)
     elif len(goal_pairs) == 2 and rng.random() < 0.5:
         short = _sentences(1, used, _SHORT)
-        both = [_say(_one(short, rng), (pair,), rng, chances) for pair in goal_pairs]
-        text = both[0].rstrip(".") + _one(_JOINTS, rng) + both[1]
+        both = [_say(one_of(short, rng), (pair,), rng, chances) for pair in goal_pairs]
+        text = both[0].rstrip(".") + one_of(_JOINTS, rng) + both[1]
     else:
         fitting = _sentences(len(goal_pairs), used)
-        text = _say(_one(fitting, rng), goal_pairs, rng, chances)
+        text = _say(one_of(fitting, rng), goal_pairs, rng, chances)
     kept = [
         clause
         for clause in _clauses(text)
@@ -130,12 +130,13 @@ def paraphrase(
     ]
     pool = _fillers(used)
     if pool and rng.random() < chances["clause_added"]:
-        clause = _one(pool, rng)
+        clause = one_of(pool, rng)
         kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
     return noisy(", ".join(kept), rng, chances)
 
 
-def _one(options: Sequence[T], rng: np.random.Generator) -> T:
+def one_of(options: Sequence[T], rng: np.random.Generator) -> T:
+    """Return an option, drawn evenly."""
     """Return one of several options, with equal probability."""
     return options[int(rng.integers(len(options)))]
 
@@ -175,7 +176,7 @@ def _say(
     if rng.random() < chances["fronted"]:
         sentence = _fronted(sentence)
     # Most sentences use one noun per role.
-    nouns = {role: _one(entity.kind.nouns, rng) for role, entity in entities.items()}
+    nouns = {role: one_of(entity.kind.nouns, rng) for role, entity in entities.items()}
     text, mentioned = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
     for role, said, piece in mentions:
@@ -186,7 +187,7 @@ def _say(
             forms = [f"{color} {noun}"] * 6
             forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
             forms += [f"{color} one"] * (2 if role in mentioned else 0)
-            said = _one(forms, rng)
+            said = one_of(forms, rng)
         text += said.replace("*", color) + piece
         mentioned.add(role)
     return text
@@ -204,7 +205,7 @@ def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Se
         for j, pattern, on in ((i, _RELATION, upright), (i - 1, _FRONT, not upright)):
             found = pattern.search(pieces[j])
             if found and on is bool(found["on"]) and rng.random() < chance:
-                other = _one(_UNDER if on else _ON, rng)
+                other = one_of(_UNDER if on else _ON, rng)
                 start, end = found.span("relation")
                 pieces[j] = pieces[j][:start] + other + pieces[j][end:]
                 roles[i - 1 : i + 1] = second, first
