@@ -94,7 +94,6 @@ def paraphrase(
     goal_pairs: GoalPairs,
     rng: np.random.Generator,
     chances: Mapping[str, float] = CHANCES,
-    taught: Sequence[Template] = (),
     rules: Grammar | None = None,
 ) -> str:
     """Return an instruction for a goal, recombined from training templates.
@@ -104,23 +103,21 @@ def paraphrase(
         goal_pairs: One or two (top, bottom) pairs of entities.
         rng: Random generator.
         chances: Probabilities of the changes, as :data:`CHANCES`.
-        taught: Templates to use; all training templates if empty.
         rules: Grammar of the sentences without a template; that of the package if None.
     """
-    used = tuple(taught) or None
     # A hand has no noun, and the grammar does not cover it: only add noise.
     held = any(HAND in pair for pair in goal_pairs)
-    if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
+    if not held and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
         return noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
     if held or rng.random() < chances["native"] or len(goal_pairs) > 2:
-        text = one_of(_own(task, used), rng).render(goal_pairs)
+        text = one_of(_own(task), rng).render(goal_pairs)
     elif len(goal_pairs) == 2 and rng.random() < 0.5:
-        short = _sentences(1, used, _SHORT)
+        short = _sentences(1, _SHORT)
         both = [_say(one_of(short, rng), (pair,), rng, chances) for pair in goal_pairs]
         text = both[0].rstrip(".") + one_of(_JOINTS, rng) + both[1]
     else:
-        fitting = _sentences(len(goal_pairs), used)
+        fitting = _sentences(len(goal_pairs))
         text = _say(one_of(fitting, rng), goal_pairs, rng, chances)
     kept = [
         clause
@@ -128,15 +125,13 @@ def paraphrase(
         if any(word in OBJECT_COLORS for word in words(clause))
         or rng.random() >= chances["clause_dropped"]
     ]
-    pool = _fillers(used)
-    if pool and rng.random() < chances["clause_added"]:
-        clause = one_of(pool, rng)
+    if rng.random() < chances["clause_added"]:
+        clause = one_of(_fillers(), rng)
         kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
     return noisy(", ".join(kept), rng, chances)
 
 
 def one_of(options: Sequence[T], rng: np.random.Generator) -> T:
-    """Return an option, drawn evenly."""
     """Return one of several options, with equal probability."""
     return options[int(rng.integers(len(options)))]
 
@@ -254,28 +249,25 @@ def _clauses(text: str) -> list[str]:
 
 
 @cache
-def _own(task: str, used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+def _own(task: str) -> tuple[Template, ...]:
     """Return a task's templates, with its high-level one repeated as three entries."""
     bank = bank_for(task)
-    found = (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
-    return tuple(t for t in found if used is None or t in used)
+    return (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
 
 
 @cache
-def _sentences(
-    pairs: int, used: tuple[Template, ...] | None, longest: int = 99
-) -> tuple[_Sentence, ...]:
+def _sentences(pairs: int, longest: int = 99) -> tuple[_Sentence, ...]:
     found = {
         template.text: _parsed(template)
-        for template in _all(used)
+        for template in _all()
         if len(template.roles) == pairs and len(words(template.text)) <= longest
     }
     return tuple(found.values())
 
 
-def _all(used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+def _all() -> tuple[Template, ...]:
     banks = [bank_for(task) for task in SUITE]
-    return used or tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
+    return tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
 
 
 def _parsed(template: Template) -> _Sentence:
@@ -294,7 +286,7 @@ def _parsed(template: Template) -> _Sentence:
 
 
 @cache
-def _fillers(used: tuple[Template, ...] | None) -> tuple[str, ...]:
-    texts = [SLOT.sub("*", template.text) for template in _all(used)]
+def _fillers() -> tuple[str, ...]:
+    texts = [SLOT.sub("*", template.text) for template in _all()]
     clauses = {clause for text in texts for clause in _clauses(text)}
     return tuple(sorted(clause for clause in clauses if "*" not in clause))
