@@ -20,7 +20,7 @@ from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.expert import ExpertStep, solve
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.cameras import CameraImage
 from lemma.scene.rendering.renderer import Renderer
@@ -109,7 +109,7 @@ def _peak_mb_of_episode(instance: Instance) -> float:
     renderer = Renderer()
     scene = episode.simulation.scene
     fuse(_look(scene, renderer))
-    for _ in solve(episode, Expert(scene, instance.goal)):
+    for _ in solve(episode):
         fuse(_look(scene, renderer))
     return peak_memory_mb()
 
@@ -216,13 +216,7 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
     Raises:
         PhysicsError: The same commands led to another state.
     """
-    found = []
-    for instance in instances:
-        # The recording is also the warm-up.
-        recorded = record_loop(instance)
-        times = np.array([time_loop(instance, recorded) for _ in range(turns)])
-        loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
-        found.append((recorded.simulated_s, loop_s, bare_s))
+    found = [median_times_s(instance, turns, solve) for instance in instances]
     simulated, loop, bare = (sum(column) for column in zip(*found, strict=True))
     return {
         "expert_realtime": simulated / loop,
@@ -232,12 +226,18 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
     }
 
 
-def _one_by_one(episode: Episode) -> Iterator[ExpertStep]:
-    """Solve an episode with the expert, one robot at a time."""
-    return solve(episode, Expert(episode.simulation.scene, episode.instance.goal))
+def median_times_s(
+    instance: Instance, turns: int, play: Play
+) -> tuple[float, float, float]:
+    """Return an episode's simulated time, and times of loop and bare physics [s]."""
+    # The recording is also the warm-up.
+    recorded = record_loop(instance, play)
+    times = [time_loop(instance, recorded, play) for _ in range(turns)]
+    loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
+    return recorded.simulated_s, loop_s, bare_s
 
 
-def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
+def record_loop(instance: Instance, play: Play = solve) -> RecordedLoop:
     """Solve an instance with the expert, and record its motor commands.
 
     Args:
@@ -262,7 +262,7 @@ def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
 
 
 def time_loop(
-    instance: Instance, recorded: RecordedLoop, play: Play = _one_by_one
+    instance: Instance, recorded: RecordedLoop, play: Play = solve
 ) -> list[tuple[float, float]]:
     """Return the times of the loop and of bare physics for each sub-task [s].
 

@@ -15,7 +15,7 @@ from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import Watcher, differences, play_again
-from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.expert import ExpertStep, solve
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
 from lemma.scene.build import TICK_S
@@ -214,8 +214,7 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     lines += again.recording.lines[:kept]
     steps: Iterable[ExpertStep]
     if case.row.get("together") is None:
-        expert = Expert(episode.simulation.scene, case.instance.goal)
-        steps = solve(episode, expert)
+        steps = solve(episode)
     else:
         begun = again.recording.lines[kept:]
         for line in _finish(episode, begun):
