@@ -85,10 +85,9 @@ def test_where_nothing_helps_it_stops() -> None:
 def test_a_smaller_team_finds_no_plan() -> None:
     instance = first_instance("stack", TEAM)
     episode = Episode(instance)
-    scene = episode.simulation.scene
-    now, grounder = SymbolicState.observe(scene), GeometricGrounder(scene.spec)
     for robot in ("robot_0", "robot_1"):
-        assert find_plan(now, instance.goal, grounder, team=(robot,)) is None
+        expert = Expert(episode.simulation.scene, instance.goal, team=(robot,))
+        assert expert.act() == (STOP, None)
 
 
 def test_a_plan_is_kept_while_the_world_does_as_predicted() -> None:

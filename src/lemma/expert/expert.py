@@ -36,15 +36,19 @@ class Expert:
     failed or an object is not where the plan predicted it.
     """
 
-    def __init__(self, scene: Scene, goal: Goal) -> None:
+    def __init__(
+        self, scene: Scene, goal: Goal, team: tuple[str, ...] | None = None
+    ) -> None:
         """Prepare for a scene and a goal.
 
         Args:
             scene: The scene.
             goal: The goal.
+            team: Robots that may act; all if None.
         """
         self._scene = scene
         self._goal = goal
+        self._team = team
         self._grounder = GeometricGrounder(scene.spec)
         self._queue: list[GroundedOption] = []
         self._expected: SymbolicState | None = None
@@ -79,7 +83,7 @@ class Expert:
         return step.subtask, step.grounded
 
     def _plan_from(self, now: SymbolicState) -> Plan | None:
-        return find_plan(now, self._goal, self._grounder)
+        return find_plan(now, self._goal, self._grounder, team=self._team)
 
     def _plan_anew(self, now: SymbolicState) -> None:
         self.replans += 1
