@@ -15,6 +15,7 @@ from lemma.core.seeding import stream
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.capture import (
     KeyframeForm,
+    entities_of,
     entity_poses,
     episode_columns,
     rig_of,
@@ -133,6 +134,7 @@ class KeyPoseForm(KeyframeForm):
 
     def _row(self, env: ControlEnv, subtask: SubTask, key: KeyPose) -> Row:
         scene = env.episode.simulation.scene
+        entities = entities_of(env.episode.instance.task)
         return {
             "time_s": env.episode.elapsed_s,
             **subtask.to_dict(),
@@ -142,6 +144,6 @@ class KeyPoseForm(KeyframeForm):
             "outcome": "",
             "kind": str(key.kind),
             "key_pose": key.stand,
-            "objects": entity_poses(object_poses(scene)),
+            "objects": entity_poses(object_poses(scene), entities),
             **stored_map(rig_of(self.width, self.height).look(scene)),
         }
