@@ -196,11 +196,7 @@ class Episode:
         return str(failed[-1]) if failed else "goal_not_reached"
 
     def check_running(self) -> None:
-        """Check that the episode is not over.
-
-        Raises:
-            ResetNeededError: It is over.
-        """
+        """Raise :class:`ResetNeededError` if the episode is over."""
         if self.is_over:
             raise ResetNeededError(
                 f"The episode {self.instance.key} is over. Reset before you act again."
