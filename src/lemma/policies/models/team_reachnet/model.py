@@ -36,7 +36,12 @@ from lemma.policies.models.reachnet.perception import (
     PerceptionConfig,
     reach_loss,
 )
-from lemma.policies.models.reachnet.scene_table import FAR_M, Noise, SceneTable
+from lemma.policies.models.reachnet.scene_table import (
+    FAR_M,
+    Noise,
+    SceneTable,
+    true_radii,
+)
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
 from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.planner import (
@@ -172,7 +177,7 @@ class TeamReachNet(MapModel):
         with torch.autocast(self.device.type, enabled=False):
             seen = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = torch.where(
-                team[..., None], self._radii(labels.arms), seen.detach()
+                team[..., None], true_radii(labels.arms, self.device), seen.detach()
             )
             scene = true_scene(labels, seen, batch.raster, batch.entities)
             terms |= self.eye.losses(marks, scene, batch)
@@ -187,16 +192,6 @@ class TeamReachNet(MapModel):
                 truth, perceived, read, wanted, tensors["move"]
             )
         return terms
-
-    def _radii(self, arms: Tensor) -> Tensor:
-        """Return the true radii of arms, (B, R, 3) [m]."""
-        # A late import, because inference does not need the simulator.
-        from lemma.robots.reach import reach_of  # noqa: PLC0415
-        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
-
-        found = [reach_of(name) for name in ARMS]
-        radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
-        return constant(radii, self.device)[arms]
 
     def _reach_loss(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
         sides = constant((batch.raster.columns, batch.raster.rows), self.device)
@@ -250,7 +245,7 @@ class TeamReachNet(MapModel):
             truth = true_table(
                 labels.objects,
                 labels.bases,
-                self._radii(labels.arms),
+                true_radii(labels.arms, self.device),
                 team,
                 weak,
                 batch.entities,

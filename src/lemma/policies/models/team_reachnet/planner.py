@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.arguments import Depth, Share, Width
-from lemma.policies.layers import TransformerLayer, drawn
+from lemma.policies.layers import drawn, mlp, planner_layers
 from lemma.policies.models.team_reachnet.reader import Reading
 from lemma.policies.models.team_reachnet.table import (
     REGIONS,
@@ -54,28 +54,18 @@ class TeamPlanner(nn.Module):
         """Make the weights."""
         super().__init__()
         width = config.width
-        self.entity_in = _mlp(_ENTITY, width, width)
-        self.robot_in = _mlp(_ROBOT, width, width)
-        self.region_in = _mlp(_REGION, width, width)
+        self.entity_in = mlp(_ENTITY, width, width)
+        self.robot_in = mlp(_ROBOT, width, width)
+        self.region_in = mlp(_REGION, width, width)
         self.whole = drawn(1, width)
-        self.relation = _mlp(RELATIONS, 48, config.heads)
-        self.layers = nn.ModuleList(
-            TransformerLayer(
-                width,
-                config.heads,
-                4 * width,
-                config.dropout,
-                F.silu,
-                drops_hidden=False,
-            )
-            for _ in range(config.layers)
-        )
+        self.relation = mlp(RELATIONS, 48, config.heads)
+        self.layers = planner_layers(width, config.heads, config.dropout, config.layers)
         self.norm = nn.LayerNorm(width)
         self.pick, self.place, self.robot = (nn.Linear(width, width) for _ in range(3))
         self.pair = nn.Linear(_OBJECTS, width)
         self.reach = nn.Linear(2 * (_REACH + _PLACE), width)
         self.out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
-        self.stop = _mlp(width, width, 1)
+        self.stop = mlp(width, width, 1)
         self.sharpness = nn.Parameter(torch.tensor(math.log(50.0)))
         self.weight = nn.Parameter(torch.tensor(0.0))
 
@@ -211,10 +201,6 @@ def move_of(number: Tensor, cargo: int, targets: int) -> Tensor:
     place = torch.where(end >= targets, end + 1, end)
     move = torch.stack([rest // cargo, rest % cargo, place], 1)
     return torch.where((rest >= ROBOTS * cargo)[:, None], -1, move)
-
-
-def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
 
 
 def _entities(table: TeamTable, read: Reading) -> Tensor:
