@@ -76,7 +76,8 @@ def _team(env: GpuVecEnv, homes: Tensor, observation: dict[str, Tensor]) -> Team
     n = len(observation["here"])
     goal = observation["goal_state"].view(n, len(env.robots), -1)
     names = ("target", "here", "base", "asked")
-    return Team(goal, *(observation[name] for name in names), env.arms, homes)
+    target, here, base, asked = (observation[name] for name in names)
+    return Team(goal, target, here, base, asked, env.arms, homes)
 
 
 class Counts:

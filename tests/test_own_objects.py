@@ -12,7 +12,7 @@ import lemma
 from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import replay
-from lemma.dataset.rendered.capture import entity_poses
+from lemma.dataset.rendered.capture import entities_of, entity_poses
 from lemma.env.action_spaces import PICKS, PLACES, decode_plan, encode_plan, plan_space
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.env.observation import object_poses
@@ -91,7 +91,7 @@ def test_observations_of_the_truth_have_rows_for_it() -> None:
 
 def test_rendered_labels_have_rows_for_it() -> None:
     scene = lemma.Episode(instance()).simulation.scene
-    poses = entity_poses(object_poses(scene))
+    poses = entity_poses(object_poses(scene), entities_of(instance().task))
     assert poses.shape == (len(known_entities()), 7)
     assert np.isfinite(poses[known_entities().index(CAN)]).all()
 

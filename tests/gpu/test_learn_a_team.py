@@ -26,10 +26,10 @@ def test_a_network_is_cloned_and_improved_for_teams_of_two_kinds(
         for team in (("ur5", "ur5"), ("ur5", "ur10"))
     ]
     learner = learn_a_team.Learner(envs)
-    before = learner.actor[0].weight.detach().clone()
+    before = next(learner.actor.parameters()).detach().clone()
     learn_a_team.train(learner, 0.0, tmp_path / "team.pt")
     first, last = (
-        TeamPolicy(str(tmp_path / name)).actor[0].weight
+        next(TeamPolicy(str(tmp_path / name)).actor.parameters())
         for name in ("team-cloned.pt", "team.pt")
     )
     assert not torch.equal(before, first)

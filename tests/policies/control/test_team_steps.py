@@ -1,6 +1,7 @@
 """One network moves both hands of a team, whatever the order of the robots."""
 
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,9 @@ def begun(task: str) -> tuple[Any, TeamHands]:
 
 def swapped(team: Team) -> Team:
     """Return a team with its robots in the other order."""
-    parts = (team.goal, team.target, team.here, team.base, team.asked)
+    names = ("goal", "target", "here", "base", "asked", "homes")
     arms = type(team.arms)(*(part.flip(0) for part in team.arms.parts))
-    return Team(*(part.flip(0) for part in parts), arms, team.homes.flip(0))
+    return replace(team, arms=arms, **{n: getattr(team, n).flip(0) for n in names})
 
 
 def test_the_order_of_the_robots_makes_no_difference() -> None:

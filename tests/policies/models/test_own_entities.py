@@ -23,7 +23,7 @@ from lemma.policies.models.reachnet.planner import (
     decision_of,
     number_of,
 )
-from lemma.policies.training.augmentation import permute_colors
+from lemma.policies.training.recoloring import permute_colors
 from lemma.scene.objects.entity import ENTITIES
 from lemma.scene.objects.kind import OBJECT_KINDS, cylinder
 

@@ -19,17 +19,15 @@ from lemma.policies.models.team_reachnet.model import (
 )
 from lemma.policies.models.team_reachnet.planner import move_of, number_of
 from lemma.policies.models.team_reachnet.reader import RULES, wanted_of
-from lemma.policies.models.team_reachnet.table import (
+from lemma.policies.models.team_reachnet.table import TeamTable, remembered, true_table
+from lemma.policies.models.team_reachnet.teams import (
     REGIONS,
     ROBOTS,
-    TeamTable,
     distinct,
     members,
     region_name,
     region_number,
     regions_there,
-    remembered,
-    true_table,
 )
 from lemma.policies.together.interfaces import Doing, TeamInput
 from lemma.scene.objects.pad import PAD

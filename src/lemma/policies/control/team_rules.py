@@ -71,7 +71,8 @@ def _acting(team: Team, grips: Tensor) -> Tensor:
     place = team.goal[..., PLACE : PLACE + 3]
     there = torch.linalg.vector_norm(place[..., :2], dim=-1) < _DONE_M
     there &= place[..., 2].abs() < _DONE_UP_M
-    return acts & ~(there & ~grips.any(-1, keepdim=True))
+    found: Tensor = acts & ~(there & ~grips.any(-1, keepdim=True))
+    return found
 
 
 def _steps(team: Team, way: Tensor, up: Tensor, turn: Tensor, grip: Tensor) -> Tensor:

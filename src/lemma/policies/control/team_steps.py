@@ -109,7 +109,8 @@ class Team:
     def ahead(self) -> Tensor:
         """The forward directions of the hands, (..., 2, 2)."""
         away = self.here[..., :2] - self.base[..., :2]
-        return away / torch.linalg.vector_norm(away, dim=-1, keepdim=True)
+        found: Tensor = away / torch.linalg.vector_norm(away, dim=-1, keepdim=True)
+        return found
 
     @property
     def object(self) -> Tensor:
@@ -133,7 +134,8 @@ class Team:
         between = second - first
         far = torch.linalg.vector_norm(between, dim=-1, keepdim=True)
         outer = self.arms.radii[:, 1]
-        return first + between * (0.5 + 0.5 * (outer[0] - outer[1]) / far)
+        found: Tensor = first + between * (0.5 + 0.5 * (outer[0] - outer[1]) / far)
+        return found
 
     @property
     def home(self) -> Tensor:

@@ -429,6 +429,26 @@ def _off(yaw: Tensor, wanted: Tensor, turn: Tensor | float) -> Tensor:
     return (off - turn * torch.round(off / turn)).abs()
 
 
+def reach_loss(
+    table: SceneTable, radii: Tensor, bases: Tensor, points: Tensor
+) -> Tensor:
+    """Return the loss of the estimated reach at points of the table.
+
+    Args:
+        table: Scenes with the estimated radii.
+        radii: The true radii, (B, R, 3) [m].
+        bases: The true bases, (B, R, 2) [m].
+        points: World positions, (B, N, 2) [m].
+    """
+    near = (points[:, None] - bases[:, :, None]).norm(dim=-1).unsqueeze(2)
+    true, seen = (
+        torch.minimum(near - r[..., :1, None], r[..., 1:, None] - near)
+        for r in (radii, table.radii)
+    )
+    wrong = F.binary_cross_entropy_with_logits(seen / 0.03, (true > 0).float())
+    return wrong + 10.0 * F.smooth_l1_loss(seen, true, beta=0.02)
+
+
 def demonstrated_reach(seen: SceneTable, labels: Labels) -> Tensor:
     """Return the negative log-likelihood of the demonstrated robots, by reach alone.
 

@@ -31,13 +31,13 @@ from lemma.policies.models.reachnet.goal_reader import (
 from lemma.policies.models.reachnet.grounder import (
     ReachNetGrounder,
     demonstrated_reach,
+    reach_loss,
     score_decisions,
     score_perception,
 )
 from lemma.policies.models.reachnet.perception import (
     Perception,
     PerceptionConfig,
-    reach_loss,
 )
 from lemma.policies.models.reachnet.planner import (
     PlannerConfig,

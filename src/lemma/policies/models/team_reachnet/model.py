@@ -17,27 +17,23 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from lemma.core.arguments import Cost, Depth
-from lemma.core.robot_names import robot_name
 from lemma.env.view import View
 from lemma.policies.batch import (
     NOBODY,
     Batch,
-    Labels,
-    decision_numbers,
 )
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
+from lemma.policies.models.reachnet.grounder import reach_loss
 from lemma.policies.models.reachnet.perception import (
     Marks,
     Perception,
     PerceptionConfig,
-    reach_loss,
 )
 from lemma.policies.models.reachnet.scene_table import (
-    FAR_M,
     Noise,
     SceneTable,
     true_radii,
@@ -54,26 +50,30 @@ from lemma.policies.models.team_reachnet.reader import (
     Reading,
     TeamReader,
     Wanted,
+    named_entities,
     order_of_parts,
     wanted_of,
 )
 from lemma.policies.models.team_reachnet.table import (
-    REGIONS,
-    ROBOTS,
     TeamTable,
-    by_color,
-    distinct,
-    move_numbers,
-    numbers_by_color,
-    region_name,
+    recalled,
     remembered,
     team_table,
     true_table,
+)
+from lemma.policies.models.team_reachnet.teams import (
+    REGIONS,
+    ROBOTS,
+    colored,
+    distinct,
+    move_named,
+    move_numbers,
+    numbers_by_color,
+    numbers_of,
     weak_hands,
 )
 from lemma.policies.text.encoder import Sentences
 from lemma.policies.together.interfaces import Orders, TeamInput
-from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.tasks.teams.rule import Rule
 
@@ -166,7 +166,7 @@ class TeamReachNet(MapModel):
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss."""
         tensors = batch.text_tensors or self.text_tensors(batch)
-        batch, labels = _colored(batch, tensors["robot"])
+        batch, labels = colored(batch, tensors["robot"])
         assert labels is not None
         marks, coarse = self.eye(batch)
         wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
@@ -235,7 +235,7 @@ class TeamReachNet(MapModel):
     def score(self, batch: Batch) -> dict[str, Tensor]:
         """Return scores of decisions and readings, (B,) each."""
         tensors = self.text_tensors(batch)
-        batch, labels = _colored(batch, tensors["robot"])
+        batch, labels = colored(batch, tensors["robot"])
         assert labels is not None
         wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
         with self.deciding(), torch.autocast(self.device.type, enabled=False):
@@ -272,26 +272,36 @@ class TeamReachNet(MapModel):
 
     def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
         """Return the next sub-task of each episode, with all arms at rest."""
-        return [self._planned(one, one.view, 1)[0][0] for one in inputs]
+        return [self._next(one) for one in inputs]
 
-    def _orders(self, given: TeamInput) -> Orders:
-        """Return orders for one episode."""
-        failed = any(step.outcome != _SUCCESS for step in given.past)
-        if failed or not given.past:
-            if given.doing:
-                return Orders()
-            if failed:
-                return Orders((Decision(self.plan([given])[0], None),))
+    def _next(self, given: PolicyInput) -> SubTask:
+        """Return the next sub-task of one episode, with all arms at rest."""
+        if _has_failed(given):
+            return self._planned(given, given.view, 1)[0][0]
+        steps, todo, _ = self._left(given, [step.subtask for step in given.past])
+        return steps[todo[0]] if todo else STOP
+
+    def _left(
+        self, given: PolicyInput, begun: Sequence[SubTask]
+    ) -> tuple[list[SubTask], list[int], Rule | None]:
+        """Return the plan from the first view, what is left of it, and the rule."""
         first = given.past[0].view if given.past else given.view
         plan, rule = self._planned(given, first, _LONGEST)
         steps = [step for step in plan if step != STOP]
+        # No sub-task comes twice in a plan.
+        todo = [k for k, step in enumerate(steps) if step not in begun]
+        return steps, todo, rule
+
+    def _orders(self, given: TeamInput) -> Orders:
+        """Return orders for one episode."""
+        failed = _has_failed(given)
+        if given.doing and (failed or not given.past):
+            return Orders()
+        if failed:
+            return Orders((Decision(self._next(given), None),))
         begun = [step.subtask for step in given.past]
         begun += [doing.subtask for doing in given.doing.values()]
-        todo = list(range(len(steps)))
-        for subtask in begun:
-            known = next((k for k in todo if steps[k] == subtask), None)
-            if known is not None:
-                todo.remove(known)
+        steps, todo, rule = self._left(given, begun)
         if not todo:
             return Orders() if given.doing else Orders((Decision(STOP, None),))
         ended = [step.subtask for step in given.past]
@@ -317,7 +327,7 @@ class TeamReachNet(MapModel):
             while len(steps) < most and (not steps or steps[-1] != STOP):
                 scores = self.planner(table, read).log_softmax(-1) - cost
                 move = move_of(scores.argmax(1), cargo, targets)
-                steps.append(self._subtask(move[0].tolist(), team))
+                steps.append(move_named(move[0].tolist(), team, self.entities))
                 table = table.moved(move[:, 1], move[:, 2])
                 # A thing goes to each place at most once in a plan.
                 colors = torch.arange(ROBOTS, device=self.device)[:, None]
@@ -335,13 +345,18 @@ class TeamReachNet(MapModel):
         seen = self._seen(replace(given, view=first), team)
         present = self.eye.table(*seen).present
         read = self.reader.understand(words, present, _UNSEEN).shares()
-        named = _named(read, self.entities)
+        named = named_entities(read, self.entities)
         start = team_table(self.eye.table(*seen, named), there, weak)
         if view is first:
             return Scene(start, read)
         seen = self._seen(replace(given, view=view), team)
         now = team_table(self.eye.table(*seen), there, weak)
-        return Scene(remembered(now, start), read)
+        memory = start
+        for step in given.past:
+            if step.outcome == _SUCCESS and step.subtask.primitive == Primitive.MOVE:
+                move = numbers_of(step.subtask, team, self.entities).to(self.device)
+                memory = memory.moved(move[:, 1], move[:, 2])
+        return Scene(recalled(now, memory), read)
 
     def _seen(
         self, given: PolicyInput, team: tuple[str, ...]
@@ -350,7 +365,7 @@ class TeamReachNet(MapModel):
         found = self._views.get(given.view)
         if found is None:
             (batch,) = self.batches([given.with_past(())])
-            batch, _ = _colored(batch, numbers_by_color([team], self.device))
+            batch, _ = colored(batch, numbers_by_color([team], self.device))
             found = self._views[given.view] = (*self.eye(batch), batch)
         return found
 
@@ -365,48 +380,15 @@ class TeamReachNet(MapModel):
                 break
             failures += 1
             if step.subtask.primitive == Primitive.MOVE:
-                numbers = decision_numbers(step.subtask.to_dict(), entities)
-                move = torch.tensor([move_numbers(numbers, team, entities)])
+                move = numbers_of(step.subtask, team, entities)
                 costs[number_of(move, cargo, targets)] += self.config.failure_cost
         if failures >= _MOST_FAILURES:
             costs[:-1] += _LOUDEST * _LOUDEST
         return costs.to(self.device)
 
-    def _subtask(self, move: Sequence[int], team: tuple[str, ...]) -> SubTask:
-        robot, pick, place = move
-        if robot < 0:
-            return STOP
-        names = self.entities.names
-        region = place - len(names)
-        where = names[place] if region < 0 else region_name(region, team)
-        who = robot_name(team.index(ROBOT_COLORS[robot]))
-        return SubTask(who, Primitive.MOVE, names[pick], where)
 
-
-def _named(read: Reading, entities: EntitySet) -> Tensor:
-    """Return the entities of the goals that were read, (B, E) bool."""
-    bottoms = read.bottoms.argmax(-1)
-    tops = bottoms < entities.stick
-    found = F.one_hot(bottoms, entities.stick + 1).bool().any(1)
-    found[:, entities.stick] = False
-    found[:, : entities.cargo] |= tops
-    return found
-
-
-def _colored(batch: Batch, numbers: Tensor) -> tuple[Batch, Labels | None]:
-    """Return a batch with rows of robots by color, and its labels.
-
-    Args:
-        batch: Rows in the order of the team.
-        numbers: From :func:`numbers_by_color`.
-    """
-    labels = batch.labels and replace(
-        batch.labels,
-        bases=by_color(batch.labels.bases, numbers, FAR_M),
-        arms=by_color(batch.labels.arms, numbers).long(),
-    )
-    joints = by_color(batch.joints, numbers)
-    return replace(batch, joints=joints, labels=labels), labels
+def _has_failed(given: PolicyInput) -> bool:
+    return any(step.outcome != _SUCCESS for step in given.past)
 
 
 MODELS.add("team-reachnet", (TeamReachNet, TeamReachNetConfig))

@@ -17,10 +17,10 @@ from torch.nn import functional as F
 from lemma.core.arguments import Depth, Share, Width
 from lemma.policies.layers import drawn, mlp, planner_layers
 from lemma.policies.models.team_reachnet.reader import Reading
-from lemma.policies.models.team_reachnet.table import (
+from lemma.policies.models.team_reachnet.table import TeamTable
+from lemma.policies.models.team_reachnet.teams import (
     REGIONS,
     ROBOTS,
-    TeamTable,
     members,
     regions_there,
 )

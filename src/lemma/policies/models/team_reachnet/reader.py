@@ -15,7 +15,7 @@ from lemma.core.robot_names import robot_number
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import EntitySet
 from lemma.policies.models.reachnet.goal_reader import GoalReader, ReaderConfig
-from lemma.policies.models.team_reachnet.table import ROBOTS
+from lemma.policies.models.team_reachnet.teams import ROBOTS
 from lemma.policies.text.encoder import Sentences, groups_of
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.language.template import GoalPairs
@@ -165,15 +165,14 @@ class TeamReader(GoalReader):
         held = _of_mentions(roles[:, :-1, :, None], cargo[:, None])
         excluded = _of_mentions(roles[:, -1, :, None], of_robots)
         pairs = self.pairs(found.said, meant)
-        # "Every cube to the pad of its color, but not the red one."
-        own = self.own_color(found.whole).float()[..., None] - F.softplus(
-            held[:, 2:3].transpose(1, 2)
-        )
-        own = torch.where(self.alike_colors, own, _NEVER)
-        pairs = torch.logaddexp(pairs, own)
         both = there[:, : self.cargo, None] & there[:, None, : self.targets]
+        # "Every cube to the pad of its color, but not the red one": of those seen.
+        kept = held[:, 2:3].transpose(1, 2)
+        own = self.own_color(found.whole).float()[..., None] - F.softplus(kept)
+        own = torch.where(self.alike_colors & both, own, _NEVER)
+        pairs = torch.logaddexp(pairs + absent * ~both, own)
         itself = torch.eye(*pairs.shape[1:], dtype=torch.bool, device=pairs.device)
-        pairs = (pairs + absent * ~both).masked_fill(itself, _NEVER)
+        pairs = pairs.masked_fill(itself, _NEVER)
         nothing = torch.zeros_like(pairs[..., :1])
         bottoms = torch.cat([pairs, nothing], -1)
         return Reading(bottoms, self.rule(found.whole).float(), held, excluded)
@@ -224,3 +223,13 @@ def order_of_parts(read: Reading, entities: EntitySet) -> Rule | None:
         bottom = int(read.bottoms[0, top, :targets].argmax())
         names += [entities.names[top], entities.names[bottom]]
     return After(*names)
+
+
+def named_entities(read: Reading, entities: EntitySet) -> Tensor:
+    """Return the entities of the goals that were read, (B, E) bool."""
+    bottoms = read.bottoms.argmax(-1)
+    tops = bottoms < entities.stick
+    found = F.one_hot(bottoms, entities.stick + 1).bool().any(1)
+    found[:, entities.stick] = False
+    found[:, : entities.cargo] |= tops
+    return found
