@@ -5,8 +5,6 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
@@ -119,22 +117,17 @@ def test_templates_agree_on_the_goal_and_are_plain_and_short(task):
                 assert entity.split("_")[0] in language.words(sentence), name
 
 
-@given(data=st.data())
-@settings(max_examples=200, deadline=None)
-def test_parse_is_the_inverse_of_render(data):
-    template = data.draw(st.sampled_from(EVERY_TEMPLATE))
-    kinds = kinds_of(template)
-    number = 2 * len(kinds)
-    colors = data.draw(
-        st.lists(st.sampled_from(COLORS), min_size=number, max_size=number, unique=True)
-    )
-    goal = tuple(
-        (f"{colors[2 * i]}_{top}", f"{colors[2 * i + 1]}_{bottom}")
-        for i, (top, bottom) in enumerate(kinds)
-    )
-    sentence = template.render(goal)
-    assert language.parse(sentence) == frozenset(goal)
-    assert language.parse(f"  {sentence.upper()}! ") == frozenset(goal)
+def test_parse_is_the_inverse_of_render() -> None:
+    """Whatever colors have which roles, and in whatever case it is written."""
+    for name, template in NAMED.items():
+        drawn = stream("language", name).permutation(len(COLORS))
+        colors = iter([COLORS[number] for number in drawn])
+        goal = tuple(
+            (f"{next(colors)}_{top}", f"{next(colors)}_{bottom}")
+            for top, bottom in kinds_of(template)
+        )
+        sentence = template.render(goal)
+        assert language.parse(f"  {sentence.upper()}! ") == frozenset(goal), name
 
 
 # An English reader that knows nothing of roles: what follows "on" is below, what
