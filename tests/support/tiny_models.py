@@ -20,6 +20,14 @@ _STREAMS: dict[str, Any] = {
     "text_layers": 1,
     "cell_m": RASTER.cell_m,
 }
+_REACHNET: dict[str, Any] = {
+    "eye": {"widths": (32, 32), "blocks": 1, "ring_width": 16},
+    "reader": {"width": 16, "layers": 1, "heads": 2},
+    "planner": {"width": 32, "layers": 1, "heads": 2},
+    "noise": asdict(Noise(0.0, 0.0, 0.0, 0.0, 0.0)),
+    "draws": 1,
+    "cell_m": RASTER.cell_m,
+}
 OPTIONS: dict[str, dict[str, Any]] = {
     "cliport": _STREAMS,
     "m-cliport": _STREAMS,
@@ -35,13 +43,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "visual_dropout": 0.0,
         "first_view_only": 0.0,
     },
-    "reachnet": {
-        "eye": {"widths": (32, 32), "blocks": 1, "ring_width": 16},
-        "reader": {"width": 16, "layers": 1, "heads": 2},
-        "planner": {"width": 32, "layers": 1, "heads": 2},
-        "noise": asdict(Noise(0.0, 0.0, 0.0, 0.0, 0.0)),
-        "draws": 1,
-        "cell_m": RASTER.cell_m,
+    "reachnet": _REACHNET,
+    "team-reachnet": _REACHNET
+    | {
+        "reader": {**_REACHNET["reader"], "refuses": False},
+        "planner": {**_REACHNET["planner"], "dropout": 0.0},
     },
 }
 """Options of the models whose input is one map per frame."""

@@ -118,7 +118,7 @@ def test_templates_agree_on_the_goal_and_are_plain_and_short(task):
 
 
 def test_parse_is_the_inverse_of_render() -> None:
-    """Whatever colors have which roles, and in whatever case it is written."""
+    """In any case of letters; the colors of the roles are drawn."""
     for name, template in NAMED.items():
         drawn = stream("language", name).permutation(len(COLORS))
         colors = iter([COLORS[number] for number in drawn])
