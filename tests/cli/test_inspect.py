@@ -3,24 +3,20 @@
 import json
 import re
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 from command import run
 from PIL import Image
-
-from lemma.core.workers.pool import Serial
-from lemma.dataset.recipe.generate import GenerateConfig, generate
+from rendered_sets import recipe_folder
 
 
 @pytest.fixture(scope="module")
 def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes of pass and two of stack."""
-    folder = tmp_path_factory.mktemp("recipe") / "<small> & odd"
-    order = GenerateConfig(
-        out=folder, tasks=("pass", "stack"), splits=("val",), episodes=2
+    return copytree(
+        recipe_folder(), tmp_path_factory.mktemp("recipe") / "<small> & odd"
     )
-    generate(order, Serial())
-    return folder
 
 
 def test_numbers_as_json(

@@ -48,19 +48,6 @@ def test_inverse_undoes(pose: Pose2) -> None:
     assert_same(pose.inverse() @ pose, Pose2(0.0, 0.0))
 
 
-@given(planar, planar, planar)
-def test_moving_the_frame_keeps_distances(frame: Pose2, a: Pose2, b: Pose2) -> None:
-    assert (frame @ a).distance(frame @ b) == pytest.approx(a.distance(b), abs=1e-9)
-    assert a.distance(b) == b.distance(a)
-
-
-def test_composition_by_hand() -> None:
-    """A robot at (1, 0) that faces +y sees a thing 2 m ahead at (1, 2)."""
-    seen = Pose2(1.0, 0.0, math.pi / 2) @ Pose2(2.0, 0.0, math.pi / 2)
-    assert seen.xy == pytest.approx((1.0, 2.0))
-    assert abs(seen.yaw) == pytest.approx(math.pi)
-
-
 @given(st.floats(-1e3, 1e3))
 def test_wrap_changes_an_angle_by_whole_turns_only(angle: float) -> None:
     wrapped = wrap(angle)

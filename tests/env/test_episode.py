@@ -66,8 +66,14 @@ def test_progress_grows_to_success(episode: Episode) -> None:
     assert episode.goal_progress == 0.5
     assert not episode.is_success
     assert episode.execute(SECOND).ok
-    assert episode.goal_progress == 1.0
-    assert episode.is_success
+    info = episode.info()
+    assert info["progress"] == episode.goal_progress == 1.0
+    assert info["is_success"] is info["success"] is episode.is_success is True
+    assert (info["elapsed_s"], info["failure"]) == (episode.elapsed_s, None)
+    assert info["idle_s"]["robot_0"] == pytest.approx(0.0)
+    assert info["idle_s"]["robot_1"] == pytest.approx(episode.elapsed_s)
+    assert info["instruction"] == "Put them away."
+    assert info["instance"] == "v3/pass/free/0"
     assert not episode.is_over
     assert episode.stop().outcome is Outcome.STOPPED
     assert episode.is_over
@@ -113,13 +119,6 @@ def test_holding_something_else_is_no_success_either() -> None:
         episode.simulation.tick(("robot_0",))
     assert episode.goal_progress == 1.0
     assert not episode.is_success
-
-
-def test_stopping_too_early_fails_with_the_goal_not_reached(episode: Episode) -> None:
-    episode.execute(FIRST)
-    episode.stop()
-    assert episode.is_over
-    assert episode.failure == "goal_not_reached"
 
 
 def test_failure_names_the_last_outcome_that_was_not_well(episode: Episode) -> None:
@@ -180,21 +179,6 @@ def test_a_goal_that_comes_undone_is_undone(episode: Episode) -> None:
     episode.simulation.scene.set_pose("red_cube", Pose((0.0, 0.0, 0.025)))
     assert not episode.is_success
     assert episode.goal_progress == 0.5
-
-
-def test_info_says_it_all(episode: Episode) -> None:
-    episode.execute(FIRST)
-    episode.execute(SECOND)
-    info = episode.info()
-    assert info["is_success"] is True
-    assert info["success"] is True
-    assert info["progress"] == 1.0
-    assert info["elapsed_s"] == episode.elapsed_s
-    assert info["idle_s"]["robot_0"] == pytest.approx(0.0)
-    assert info["idle_s"]["robot_1"] == pytest.approx(episode.elapsed_s)
-    assert info["failure"] is None
-    assert info["instruction"] == "Put them away."
-    assert info["instance"] == "v3/pass/free/0"
 
 
 # --- The judge's second ------------------------------------------------------------

@@ -22,8 +22,6 @@ from lemma.env.base_env import LemmaEnv
 from lemma.env.control.modes import CONTROLS
 from lemma.env.skill_env import SkillEnv
 from lemma.expert.plan_env import PlanEnv
-from lemma.tasks.language.blind import instruction
-from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.names import SUITE, gym_id
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
@@ -68,7 +66,8 @@ def test_gymnasium_finds_no_fault(task: str, level: str) -> None:
 @pytest.mark.parametrize("observation", slow_but(["state", "privileged"], "state"))
 @pytest.mark.parametrize("control", slow_but(CONTROLS, *MODES))
 def test_gymnasium_finds_no_fault_in_any_mode(control: str, observation: str) -> None:
-    env = make("hook_stack", control=control, observation=observation)
+    reward = "dense" if "delta" in control else "sparse"
+    env = make("hook_stack", control=control, observation=observation, reward=reward)
     check_env(env, skip_render_check=True)
 
 
@@ -272,13 +271,6 @@ def test_team_can_be_chosen(split: str) -> None:
     assert teams <= {("ur5", "ur10"), ("ur10", "ur5")}
     if split == "free":
         assert teams == {("ur10", "ur5")}
-
-
-@pytest.mark.parametrize("kind", EVALUATION_KINDS)
-def test_each_kind_of_instruction_can_be_asked_for(kind: str) -> None:
-    env = make("hook", instruction=kind, split="test", index=3)
-    _, info = env.reset()
-    assert info["instruction"] == instruction(env.instance, kind)
 
 
 def test_sub_tasks_survive_encoding() -> None:

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 import lemma
 from lemma.core.poses import matrix_from_quaternion
@@ -17,9 +16,7 @@ from lemma.env.observation import (
     truth_vector,
     write_text,
 )
-from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.raster import RASTER
 from lemma.tasks.language.blind import instruction
 from lemma.tasks.language.template import EVALUATION_KINDS
 
@@ -134,45 +131,6 @@ def test_every_number_of_the_truth_has_a_name_of_its_own() -> None:
     top, bottom = env.instance.goal.pairs[0]
     assert told["goal_0.bottom.y"] == told[f"{bottom}.y"]
     assert told["robot_1.base_x"] == found["robots"][1, 0]
-
-
-@pytest.mark.render
-def test_cameras_are_calibrated() -> None:
-    found, env = observe("rgbd", width=320, height=240)
-    assert tuple(found["pixels"]) == tuple(found["depth"]) == tuple(env.cameras())
-    assert found["pixels"]["table"].shape == (240, 320, 3)
-    assert found["pixels"]["table"].dtype == np.uint8
-    assert found["depth"]["table"].dtype == np.float32
-    seen = 0
-    for name, camera in env.cameras().items():
-        points = camera.unproject(found["depth"][name])
-        for entity, pose in env.info()["state"].items():
-            if not entity.endswith("_cube"):
-                continue
-            top = pose[:3] + np.array([0.0, 0.0, CUBE_EDGE_M / 2])
-            (pixel,), (depth,) = camera.project([top])
-            column, row = np.rint(pixel).astype(int)
-            inside = 0 <= column < 320 and 0 <= row < 240
-            if inside and abs(found["depth"][name][row, column] - depth) < 0.02:
-                seen += 1
-                assert np.linalg.norm(points[row, column] - top) < 0.02
-    assert seen > 0
-
-
-@pytest.mark.render
-def test_map_is_that_of_the_table() -> None:
-    found, env = observe("map")
-    picture = found["map"]
-    space = env.observation_space["map"]
-    assert isinstance(space, spaces.Dict)
-    assert picture["rgb"].shape == (416, 416, 3)
-    assert picture["coverage"].mean() > 0.5
-    heights = []
-    for entity, pose in env.info()["state"].items():
-        cell = RASTER.pixel_from_world(pose[0], pose[1])
-        if entity.endswith("_cube"):
-            heights.append(float(picture["height_m"][cell]))
-    assert np.median(heights) == pytest.approx(CUBE_EDGE_M, abs=0.005)
 
 
 @pytest.mark.render

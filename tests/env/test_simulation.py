@@ -6,7 +6,7 @@ import weakref
 
 import numpy as np
 import pytest
-from recorded_episodes import first_instance, run_expert
+from recorded_episodes import first_instance, recorded, run_expert
 from small_tables import cube, facing, pad, stick
 from tiers import slow_but
 
@@ -82,22 +82,14 @@ def test_rest_lets_time_pass(
     assert simulation.clocks["robot_0"].busy_s == 0.0
 
 
-def test_a_resting_arm_stays_where_it_is(simulation: Simulation) -> None:
-    before = simulation.scene.data.qpos.copy()
-    simulation.rest(20.0)
-    assert np.abs(simulation.scene.data.qpos - before).max() < 1e-3
-
-
-def test_only_the_active_arm_moves(simulation: Simulation) -> None:
+def test_clocks_tell_busy_from_idle_and_the_idle_arm_stays(
+    simulation: Simulation,
+) -> None:
     other = simulation.arms["robot_1"].robot
     before = simulation.scene.data.qpos[other.qpos].copy()
-    assert simulation.execute(MOVE).ok
-    after = simulation.scene.data.qpos[other.qpos]
-    assert np.abs(after - before).max() < 1e-4
-
-
-def test_clocks_tell_busy_from_idle(simulation: Simulation) -> None:
     first = simulation.execute(MOVE)
+    moved = simulation.scene.data.qpos[other.qpos] - before
+    assert np.abs(moved).max() < 1e-4
     simulation.rest(1.0)
     back = GroundedSubTask("robot_1", Primitive.MOVE, PLACE, PICK)
     second = simulation.execute(back)
@@ -199,7 +191,7 @@ def run_alone(simulation: Simulation, subtask: GroundedSubTask) -> None:
 def test_begin_and_advance_give_the_states_of_a_plain_loop(task: str) -> None:
     """Also where time passes in pieces, and another robot's turn comes at once."""
     instance = first_instance(task, "ur5+ur10")
-    _, _, steps, _ = run_expert(instance)
+    steps = recorded(task, "ur5+ur10").steps
     plain, pieces = Simulation(instance.scene), Simulation(instance.scene)
     for number, step in enumerate(steps):
         run_alone(plain, step.grounded)

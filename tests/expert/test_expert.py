@@ -275,7 +275,8 @@ def test_after_a_failed_skill_it_tries_again(task: str, outcome: Outcome) -> Non
     assert episode.is_success
 
 
-@pytest.mark.parametrize("task", slow_but(["hook", "poke"], "hook"))
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["hook", "poke"])
 def test_after_a_stick_slipped_from_the_hand_it_tries_again(task: str) -> None:
     instance = first_instance(task, TEAM)
     episode, expert = start(instance)

@@ -6,7 +6,7 @@ import pickle
 import random
 
 import pytest
-from recorded_episodes import first_instance, run_expert
+from recorded_episodes import first_instance, recorded
 from small_tables import cube, facing, move
 from tiers import slow_but
 from watched_sectors import watch_sectors
@@ -43,17 +43,15 @@ def test_a_sub_task_depends_on_earlier_ones_about_the_same_objects() -> None:
 
 @pytest.mark.parametrize("task", slow_but(ALONE, "pass"))
 def test_robots_that_begin_one_after_the_other_give_the_same_state(task: str) -> None:
-    instance = first_instance(task, "ur5+ur10")
-    one_by_one, _, _, _ = run_expert(instance)
-    episode = Episode(instance)
-    for done in one_by_one.executed:
+    one_by_one = recorded(task, "ur5+ur10")
+    episode = Episode(one_by_one.instance)
+    for done in one_by_one.steps:
         episode.begin(done.grounded)
         while episode.simulation.busy:
             episode.advance(episode.simulation.time_s + 0.05)
+    assert episode.simulation.scene.state_hash() == one_by_one.hashes[-1]
     episode.stop()
     assert episode.is_success
-    found = episode.simulation.scene.state_hash()
-    assert found == one_by_one.simulation.scene.state_hash()
 
 
 def test_a_robot_begins_when_what_it_needs_is_there() -> None:
@@ -71,9 +69,8 @@ def test_a_robot_begins_when_what_it_needs_is_there() -> None:
 
 @pytest.mark.parametrize("task", slow_but(("pass2", "stack2"), "stack2"))
 def test_two_robots_at_once_are_sooner_and_keep_clear(task: str) -> None:
-    instance = first_instance(task, "ur5+ur10")
-    one_by_one, _, _, _ = run_expert(instance)
-    episode = Episode(instance)
+    one_by_one = recorded(task, "ur5+ur10")
+    episode = Episode(one_by_one.instance)
     watch = watch_sectors(episode.simulation)
     steps = list(solve_together(episode))
     assert episode.is_success

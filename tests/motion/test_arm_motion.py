@@ -178,25 +178,6 @@ def test_lead_moves_the_reference_and_leads_the_servos(arm: ArmMotion) -> None:
     assert np.array_equal(arm.state, [before, np.zeros(6)])
 
 
-def test_hold_stays(arm: ArmMotion) -> None:
-    arm.hold()
-    before = arm.state[0].copy()
-    run(arm, 1.0)
-    assert arm.state[0] == pytest.approx(before, abs=1e-3)
-
-
-def test_capsules_and_tcp_are_those_of_the_measured_arm(arm: ArmMotion) -> None:
-    scene = arm.scene
-    q = arm.park + 0.1
-    scene.set_joints(arm.robot, q, FINGER_OPENING_M)
-    scene.refresh()
-    site = scene.data.site(f"{arm.robot.name}/tcp")
-    assert arm.tcp_pose()[:3, 3] == pytest.approx(site.xpos, abs=1e-9)
-    assert arm.tcp_pose()[:3, :3].ravel() == pytest.approx(site.xmat, abs=1e-9)
-    assert np.array_equal(arm.capsules(), arm.capsules(q))
-    assert not np.array_equal(arm.capsules(), arm.capsules(arm.park))
-
-
 def check_path(
     arm: ArmMotion, path: FloatArray, pose: FloatArray, obstacles: FloatArray
 ) -> None:

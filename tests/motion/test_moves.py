@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from small_tables import ARM_NAMES, cube, facing
+from tiers import slow_but
 
 from lemma.core.poses import FloatArray, Pose2, wrap
 from lemma.env.simulation import Simulation
-from lemma.motion.moves import FLY_BY_M, RETREAT_M, Motion, Moves, Stand
+from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.outcome import Outcome, SkillFailure
-from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
 
@@ -18,7 +18,7 @@ ROBOT = "robot_0"
 HERE = (-0.1, 0.15)
 
 
-@pytest.fixture(params=ARM_NAMES)
+@pytest.fixture(params=slow_but(ARM_NAMES, "ur5"))
 def simulation(request: pytest.FixtureRequest) -> Simulation:
     return Simulation(facing(request.param, cube("red", *HERE, 0.3)))
 
@@ -47,16 +47,6 @@ def stand_of(simulation: Simulation) -> tuple[float, float, float, float]:
 def off(simulation: Simulation, stand: Stand) -> tuple[float, float]:
     found = stand_of(simulation)
     return math.dist(found[:3], stand[:3]), abs(wrap(found[3] - stand[3]))
-
-
-def test_to_arrives_and_stands_still(simulation: Simulation, moves: Moves) -> None:
-    stand = (-0.05, -0.2, 0.25, 0.8)
-    drive(simulation, moves.to(stand))
-    distance, angle = off(simulation, stand)
-    assert distance < 0.002
-    assert angle < 0.02
-    # The gripper points down.
-    assert simulation.arms[ROBOT].tcp_pose()[2, 2] < -0.9995
 
 
 def test_to_fly_by_ends_sooner_and_near(simulation: Simulation, moves: Moves) -> None:
@@ -104,20 +94,6 @@ def test_along_is_straight_and_as_fast_as_told(
     assert angle < 0.02
 
 
-def test_lower_and_rise_go_straight_up_and_down(
-    simulation: Simulation, moves: Moves
-) -> None:
-    over, low = (-0.1, -0.1, 0.3, 0.0), (-0.1, -0.1, 0.04, 0.0)
-    drive(simulation, moves.to(over))
-    down = drive(simulation, moves.lower(low))
-    assert down[-1] == pytest.approx(low[:3], abs=0.002)
-    up = drive(simulation, moves.rise(low, 0.2))
-    # Not stopped at the end, it lags behind.
-    assert up[-1][2] > 0.12
-    for passed in (down, up):
-        assert np.abs(passed[:, :2] - low[:2]).max() < 0.008
-
-
 def test_what_is_put_down_touches_softly(simulation: Simulation, moves: Moves) -> None:
     over, low = (-0.1, -0.1, 0.3, 0.0), (-0.1, -0.1, 0.04, 0.0)
     drive(simulation, moves.to(over))
@@ -125,23 +101,6 @@ def test_what_is_put_down_touches_softly(simulation: Simulation, moves: Moves) -
     last = passed[passed[:, 2] < low[2] + 0.006]
     speeds = np.diff(last[:, 2]) / 0.01
     assert np.abs(speeds).max() < 0.12
-
-
-def test_grasp_holds_and_release_lets_go(simulation: Simulation, moves: Moves) -> None:
-    over, low = (*HERE, 0.3, 0.3), (*HERE, 0.025, 0.3)
-    drive(simulation, moves.grasp(over, low))
-    assert simulation.held() == {ROBOT: "red_cube"}
-    moves.check_held()
-    assert moves.arm.opening_m == 0.0
-    opening = simulation.scene.opening_m(simulation.arms[ROBOT].robot)
-    assert opening == pytest.approx(0.05, abs=0.003)
-    drive(simulation, moves.release(low))
-    assert simulation.held() == {}
-    assert simulation.scene.pose2("red_cube").distance(Pose2(*HERE)) < 0.003
-    opening = simulation.scene.opening_m(simulation.arms[ROBOT].robot)
-    assert opening == pytest.approx(FINGER_OPENING_M, abs=0.001)
-    # It does not stop at the top, so it is still on its way there.
-    assert stand_of(simulation)[2] > 0.025 + 0.5 * RETREAT_M
 
 
 def test_a_grasp_of_air_fails(simulation: Simulation, moves: Moves) -> None:

@@ -75,7 +75,7 @@ def assert_not_climbed(simulation: Simulation) -> None:
     assert z < lowest or beside > PAD_RADIUS_M + CUBE.disc_m
 
 
-@pytest.mark.parametrize("speed_m_s", [0.05, 0.2, 0.5])
+@pytest.mark.parametrize("speed_m_s", slow_but([0.05, 0.2, 0.5], 0.2))
 @pytest.mark.parametrize("bearing", slow_but([-0.6, 0.0, 0.35], 0.35))
 def test_a_cube_pushed_with_the_stick_does_not_climb_a_pad(
     speed_m_s: float, bearing: float
@@ -110,7 +110,7 @@ def test_a_cube_pushed_with_the_stick_does_not_climb_a_pad(
 
 
 @pytest.mark.parametrize("bearing", slow_but([-0.6, 0.0, 0.35], 0.35))
-@pytest.mark.parametrize("height_m", [0.018, 0.03])
+@pytest.mark.parametrize("height_m", slow_but([0.018, 0.03], 0.018))
 def test_a_cube_pushed_slowly_with_the_hand_does_not_climb_a_pad(
     bearing: float, height_m: float
 ) -> None:

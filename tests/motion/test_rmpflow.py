@@ -140,14 +140,18 @@ def test_acceleration_is_the_textbook_sum(arm: str) -> None:
     model = model._replace(lower=np.full(6, -1e6), upper=np.full(6, 1e6))
     parameters = Leaves(max_acceleration=1e9)
     rng = np.random.default_rng(1)
-    for state in some_states(20, seed=2):
+    for number, state in enumerate(some_states(20, seed=2)):
         x, y, z = rng.uniform(-0.6, 0.6, 3)
+        if number % 2:
+            # So near that metrics are round, and boosted.
+            x, y, z = tcp(model, state[0])[:3, 3] + rng.uniform(-0.02, 0.02, 3)
         pose = top_down(x, y, z, rng.uniform(-3, 3))
-        goal = pose_goal(pose, rng.uniform(-2, 2, 6))
+        posture = state[0] + rng.uniform(-1, 1, 6) * (0.3 if number % 4 < 2 else 1.5)
+        goal = pose_goal(pose, posture)
         out = acceleration(goal, parameters, state, model)
         expected = textbook_tool_acceleration(model, state, goal, parameters)
         scale = float(np.abs(expected).max())
-        assert out == pytest.approx(expected, abs=1e-4 * scale)
+        assert out == pytest.approx(expected, abs=1e-6 * scale)
 
 
 def test_acceleration_is_capped_in_its_own_direction() -> None:

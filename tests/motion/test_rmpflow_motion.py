@@ -47,18 +47,6 @@ def test_reaches_a_pose(arm: str) -> None:
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)
-def test_turns_to_an_orientation_that_the_posture_does_not_know(arm: str) -> None:
-    model, q = arm_model(arm), ready(arm, 0.5, 0.2, 0.3)
-    pose = tcp(model, q)
-    pose[:3, :3] = top_down(0, 0, 0, 0.2 + 1.5)[:3, :3]
-    history = move(model, state_at(q), pose_goal(pose, q), 4.0)
-    assert errors(tcp(model, q), pose)[1] == pytest.approx(1.5)
-    distance, angle = errors(tcp(model, history[-1, 0]), pose)
-    assert distance < 0.002
-    assert angle < 0.02
-
-
-@pytest.mark.parametrize("arm", ARM_NAMES)
 def test_follows_a_posture_when_there_is_no_target(arm: str) -> None:
     model, q = arm_model(arm), ready(arm, 0.5, 0.0, 0.3)
     posture = q + np.array([1.2, -0.3, 0.2, 0.3, -0.5, 0.8])

@@ -50,7 +50,6 @@ def test_segment_distance_is_that_of_the_nearest_samples(
     assert segment_distance(b, a) == pytest.approx(distance, abs=1e-9)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e-2, 1e-4])
 @pytest.mark.parametrize(
     ("a", "b", "expected"),
     [
@@ -64,10 +63,11 @@ def test_segment_distance_is_that_of_the_nearest_samples(
     ],
 )
 def test_segment_distance_of_special_cases(
-    a: tuple[float, ...], b: tuple[float, ...], expected: float, scale: float
+    a: tuple[float, ...], b: tuple[float, ...], expected: float
 ) -> None:
-    distance = segment_distance(scale * np.array(a, float), scale * np.array(b, float))
-    assert distance == pytest.approx(scale * expected, abs=1e-9)
+    for scale in (1.0, 1e-2, 1e-4):
+        distance = segment_distance(scale * np.array(a), scale * np.array(b))
+        assert distance == pytest.approx(scale * expected, abs=1e-9)
 
 
 def placed(arm: str, q: FloatArray, base: FloatArray | None = None) -> FloatArray:
@@ -192,14 +192,6 @@ def test_self_clearance_tells_folded_from_free(arm: str) -> None:
     assert len(solutions) > 0
     for q in solutions:
         assert self_clearance(placed(arm, q)) < 0.0
-
-
-@pytest.mark.parametrize("arm", ARM_NAMES)
-def test_self_clearance_does_not_depend_on_where_the_arm_stands(arm: str) -> None:
-    turned = np.array([[0, -1, 0, 0.4], [1, 0, 0, -2], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    for q in np.random.default_rng(0).uniform(-2.5, 2.5, (20, 6)):
-        here, there = placed(arm, q), placed(arm, q, turned)
-        assert self_clearance(here) == pytest.approx(self_clearance(there), abs=1e-9)
 
 
 @pytest.mark.parametrize("arm", ARM_NAMES)

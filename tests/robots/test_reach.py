@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from lemma.core.poses import FloatArray, Pose2
@@ -81,21 +80,6 @@ def test_ring_has_the_expected_size(arm: str, travel_m: float, grasp_m: float) -
     assert reach.travel_m == pytest.approx(travel_m, abs=0.02)
     assert reach.grasp_m == pytest.approx(grasp_m, abs=0.02)
     assert 0.1 < reach.inner_m < 0.25
-
-
-@given(bases, st.floats(0.0, 1.5), st.floats(-math.pi, math.pi))
-def test_reach_does_not_depend_on_the_direction(
-    base: Pose2, radius: float, bearing: float
-) -> None:
-    reach = reach_of("ur5")
-    point = base @ Pose2(radius * math.cos(bearing), radius * math.sin(bearing))
-    straight = Pose2(0.0, 0.0)
-    assert reach.margin(base, *point.xy) == pytest.approx(
-        reach.margin(straight, radius, 0.0), abs=1e-12
-    )
-    assert reach.hold_margin(base, *point.xy) == pytest.approx(
-        reach.hold_margin(straight, radius, 0.0), abs=1e-12
-    )
 
 
 def test_what_is_held_low_is_held_in_a_wider_ring() -> None:

@@ -13,7 +13,9 @@ from lemma.scene.objects.entity import STICK
 
 
 @pytest.mark.parametrize(("task", "team"), slow_but(EPISODES, *EPISODES[1::3]))
-def test_every_team_of_every_task_compiles(task: str, team: str) -> None:
+def test_every_team_of_every_task_compiles_and_holds_by_friction_alone(
+    task: str, team: str
+) -> None:
     spec = first_instance(task, team).scene
     model = compile_model(spec)
     for robot in spec.robot_names:
@@ -31,6 +33,23 @@ def test_every_team_of_every_task_compiles(task: str, team: str) -> None:
     assert model.nu == 7 * len(spec.robots)
     assert model.nq == 8 * len(spec.robots) + 7 * len(movable)
     assert model.opt.timestep == TIME_STEP_S == 0.005
+    # Nothing is held by anything but friction: the only equalities couple the two
+    # fingers of a gripper.
+    assert model.neq == 2
+    assert (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).all()
+    for index, robot in enumerate(("robot_0", "robot_1")):
+        joints = {
+            model.joint(int(obj[index])).name
+            for obj in (model.eq_obj1id, model.eq_obj2id)
+        }
+        assert joints == {f"{robot}/finger_left", f"{robot}/finger_right"}
+    # No adhesion, no second actuator on anything, no force fields.
+    assert model.actuator_trntype.tolist() == (
+        [*[int(mujoco.mjtTrn.mjTRN_JOINT)] * 6, int(mujoco.mjtTrn.mjTRN_TENDON)] * 2
+    )
+    assert model.opt.gravity.tolist() == [0.0, 0.0, -9.81]
+    objects = [model.body(n).id for n in spec.object_names]
+    assert not np.asarray(model.body_gravcomp)[objects].any()
 
 
 @pytest.mark.parametrize("actuation", ACTUATIONS)
@@ -70,27 +89,6 @@ def test_velocity_motors_reach_their_speed() -> None:
     mujoco.mj_step(model, data, 100)
     dof = model.joint("robot_0/wrist_3").dofadr[0]
     assert data.qvel[dof] == pytest.approx(0.7, abs=0.01)
-
-
-@pytest.mark.parametrize(("task", "team"), slow_but(EPISODES, *EPISODES[1::3]))
-def test_nothing_is_held_by_anything_but_friction(task: str, team: str) -> None:
-    """The only equalities couple the two fingers of a gripper."""
-    model = compile_model(first_instance(task, team).scene)
-    assert model.neq == 2
-    assert (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).all()
-    for index, robot in enumerate(("robot_0", "robot_1")):
-        joints = {
-            model.joint(int(obj[index])).name
-            for obj in (model.eq_obj1id, model.eq_obj2id)
-        }
-        assert joints == {f"{robot}/finger_left", f"{robot}/finger_right"}
-    # No adhesion, no second actuator on anything, no force fields.
-    assert model.actuator_trntype.tolist() == (
-        [*[int(mujoco.mjtTrn.mjTRN_JOINT)] * 6, int(mujoco.mjtTrn.mjTRN_TENDON)] * 2
-    )
-    assert model.opt.gravity.tolist() == [0.0, 0.0, -9.81]
-    objects = [model.body(n).id for n in first_instance(task, team).scene.object_names]
-    assert not np.asarray(model.body_gravcomp)[objects].any()
 
 
 def test_everything_can_collide_but_what_is_structurally_one() -> None:

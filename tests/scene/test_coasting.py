@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from small_tables import cube, facing, pad
-from tiers import slow_but
+from tiers import MODES, slow_but
 
 from lemma.core.poses import Pose
 from lemma.env.config import EnvConfig
@@ -104,7 +104,7 @@ def test_the_expert_lets_things_move_less_than_a_third_of_what_is_allowed(
     assert max(flights) < 0.3 * FLIGHT_S
 
 
-@pytest.mark.parametrize("mode", CONTROLS)
+@pytest.mark.parametrize("mode", slow_but(CONTROLS, *MODES))
 def test_a_throw_is_seen_in_every_control_mode(mode: str) -> None:
     env = ControlEnv(EnvConfig(task="pass", control=mode, split="test"))
     env.set_table(options={"index": 0})

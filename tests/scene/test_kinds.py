@@ -46,13 +46,9 @@ def test_numbers_of_the_benchmark_are_what_weights_were_trained_with() -> None:
     cubes = tuple(f"{color}_cube" for color in colors)
     pads = tuple(f"{color}_pad" for color in colors)
     assert (*cubes, *pads, "stick") == ENTITIES
+    assert tuple(entity_named(name).name for name in ENTITIES) == ENTITIES
     assert known_entities() == ENTITIES
     assert extra_entities() == ()
-
-
-@pytest.mark.parametrize("name", ENTITIES)
-def test_a_name_is_taken_apart_and_put_together(name: str) -> None:
-    assert entity_named(name).name == name
 
 
 def test_an_entity_is_a_color_and_a_kind() -> None:

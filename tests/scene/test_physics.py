@@ -93,7 +93,7 @@ def test_a_minute_in_the_hand_moves_it_less_than_a_millimetre(
     assert moved_m(kind, start, end) < 1e-3
 
 
-@pytest.mark.parametrize("offset_m", [0.0, 0.02])
+@pytest.mark.parametrize("offset_m", slow_but([0.0, 0.02], 0.02))
 def test_a_tower_of_two_cubes_stands_for_a_minute(offset_m: float) -> None:
     cubes = [
         ObjectPlacement("cube", c, Pose2(0.0, y))
@@ -111,7 +111,8 @@ def test_a_tower_of_two_cubes_stands_for_a_minute(offset_m: float) -> None:
     assert end[1][2, 3] == pytest.approx(1.5 * CUBE_EDGE_M, abs=1e-3)
 
 
-@pytest.mark.parametrize("team", slow_but(TEAMS, "ur5+ur10"))
+@pytest.mark.slow
+@pytest.mark.parametrize("team", TEAMS)
 def test_a_tower_that_the_expert_built_stands_for_a_minute(team: str) -> None:
     episode = run_expert(first_instance("stack", team))[0]
     scene = episode.simulation.scene

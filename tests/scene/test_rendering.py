@@ -213,14 +213,6 @@ def test_old_uploads_are_freed_and_made_again() -> None:
     assert len(canvas._process.pool) == canvas.POOL_SIZE
 
 
-def test_renderers_of_different_sizes_take_turns() -> None:
-    model, data = compiled(table_scene())
-    small, large = Renderer(64, 48), Renderer(1280, 960)
-    alone = small.rgbd(model, data, "eye")
-    large.rgbd(model, data, "eye")
-    np.testing.assert_array_equal(small.rgbd(model, data, "eye").rgb, alone.rgb)
-
-
 def test_collision_shapes_and_sites_are_hidden() -> None:
     spec = table_scene()
     plain = Renderer(64, 48).rgbd(*compiled(spec), "eye")

@@ -5,7 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from recorded_episodes import first_instance, run_expert
+from recorded_episodes import first_instance, recorded
 from tiers import slow_but
 
 from lemma.core.errors import UnknownNameError
@@ -134,7 +134,7 @@ def test_another_scene_of_the_same_spec_goes_on_as_well(spec: SceneSpec) -> None
 def test_in_the_middle_of_a_skill_too(task: str, tick: int) -> None:
     """With an object in the hand or being put down: contacts are part of the state."""
     instance = first_instance(task, "ur5+ur10")
-    first = run_expert(instance)[2][0].grounded
+    first = recorded(task, "ur5+ur10").steps[0].grounded
     simulation = Simulation(instance.scene)
     scene, skill = simulation.scene, SkillRunner(simulation.arms).run(first)
     for _ in range(tick):

@@ -163,7 +163,6 @@ def test_requests_of_wrong_types_are_named(change: dict[str, Any], words: str) -
         decode_request(msgpack.packb(asked(**change)))
 
 
-@pytest.mark.parametrize("name", VIEW_ARRAYS)
 @pytest.mark.parametrize(
     "change",
     [
@@ -177,19 +176,20 @@ def test_requests_of_wrong_types_are_named(change: dict[str, Any], words: str) -
         {"data": b"12"},
     ],
 )
-def test_damaged_arrays_are_refused(name: str, change: dict[str, Any]) -> None:
-    message = asked()
-    array = message["views"][0][name]
-    shape = array["shape"]
-    array.update(change)
-    if change.get("shape") == "wrong":
-        array["shape"] = [n + 1 for n in shape]
-    if isinstance(change.get("shape"), int):
-        array["shape"] = [change["shape"] for _ in shape]
-    request = decode_request(msgpack.packb(message))
-    assert isinstance(request, Act)
-    with pytest.raises(ProtocolError, match=f"array '{name}'"):
-        request.views[0].read()
+def test_damaged_arrays_are_refused(change: dict[str, Any]) -> None:
+    for name in VIEW_ARRAYS:
+        message = asked()
+        array = message["views"][0][name]
+        shape = array["shape"]
+        array.update(change)
+        if change.get("shape") == "wrong":
+            array["shape"] = [n + 1 for n in shape]
+        if isinstance(change.get("shape"), int):
+            array["shape"] = [change["shape"] for _ in shape]
+        request = decode_request(msgpack.packb(message))
+        assert isinstance(request, Act)
+        with pytest.raises(ProtocolError, match=f"array '{name}'"):
+            request.views[0].read()
 
 
 POSE = {"x": 0.0, "y": 0.0, "yaw": 0.0}

@@ -29,17 +29,6 @@ from lemma.tasks.language.bank import robot_phrases_in_order
 
 RASTER = Raster(rows=64, columns=96, cell_m=0.025, floor_m=-0.1)
 """A map of the usual extent with large cells."""
-TINY_STREAMS: dict[str, Any] = {
-    "widths": (16, 16, 24, 32),
-    "query_widths": (16, 16, 16, 16),
-    "kernel_channels": 4,
-    "crop": 16,
-    "crop_m": 0.4,
-    "text_width": 32,
-    "text_layers": 1,
-    "cell_m": RASTER.cell_m,
-}
-"""Options of the smallest two-stream networks."""
 TEAM = ("red", "white")
 _BASE_X_M = 0.9
 

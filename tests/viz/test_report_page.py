@@ -184,8 +184,7 @@ def test_the_keyboard_is_enough(page: Page) -> None:
     assert page.run("document.activeElement.name") == "kind"
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1280, 400])
+@pytest.mark.parametrize(("scheme", "width"), [("light", 400), ("dark", 1280)])
 def test_the_page_fits(page: Page, scheme: str, width: int) -> None:
     page.resize(width)
     page.prefer(scheme)

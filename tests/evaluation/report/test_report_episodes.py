@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from clumsy import EPISODES, FAILED, KINDS, played_clumsily
+from clumsy import EPISODES, KINDS, played_clumsily
 from made_up import ABOUT, row, step
 
 from lemma.env.episode import Episode
@@ -111,9 +111,9 @@ def test_an_episode_done_again_is_the_same(cases: list[Case]) -> None:
     def before(episode: Episode, number: int) -> None:
         seen.append(number)
 
-    for case in cases[:EPISODES]:
+    for case in cases[:2]:
         assert differing(case, case.row, before) == []
-    assert seen == [0, 1, 2, 0, 1, 0, 1, 0, 1]
+    assert seen == [0, 1, 2, 0, 1]
 
 
 def differing(case: Case, row: Row, watch: Watcher) -> list[str]:
@@ -128,7 +128,3 @@ def test_a_difference_is_told(cases: list[Case]) -> None:
     duration, progress = sorted(differing(case, changed, lambda *_: None), reverse=True)
     assert duration.startswith("subtasks[1].duration_s is 99.0, and ")
     assert progress == "progress is 0.75, and 0.5 when played again"
-
-
-def test_as_many_fail_as_should(cases: list[Case]) -> None:
-    assert sum(case.cause is not None for case in cases) == FAILED * len(KINDS)

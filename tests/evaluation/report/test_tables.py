@@ -219,17 +219,6 @@ def test_coordination_is_of_sums_over_all_tasks() -> None:
     assert spread["time / expert's"] == "1.50 ± 0.00"
 
 
-def test_the_verb_writes_a_page(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result(5).write(tmp_path / "seed-0.json")
-    assert verb((tmp_path,), tmp_path / "report") == 0
-    text = (tmp_path / "report" / "results.md").read_text()
-    assert "results: 1." in capsys.readouterr().out
-    assert "50.0 (24–76)" in text
-    assert NOT_RUN not in text.split("## ", 1)[1]
-
-
 @pytest.mark.slow
 def test_the_verb_passes_over_tables_and_refuses_nothing(tmp_path: Path) -> None:
     kept = tmp_path / "results"

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from tiers import slow_but
 
@@ -176,12 +177,12 @@ def test_the_rule_lets_another_robot_try() -> None:
 
 MOVE, HOOK = Primitive.MOVE, Primitive.HOOK
 IMPOSSIBLE = {
-    "fixed": SubTask("robot_0", MOVE, "PAD", "shared"),
-    "absent": SubTask("robot_0", MOVE, "ABSENT", "shared"),
-    "onto itself": SubTask("robot_0", MOVE, "CUBE", "CUBE"),
-    "by cube": SubTask("robot_0", HOOK, "CUBE", "CUBE"),
-    "too early": SubTask("robot_0", HOOK, "stick", "CUBE"),
-    "too far": SubTask("FAR", MOVE, "CUBE", "shared"),
+    "fixed": (SubTask("robot_0", MOVE, "PAD", "shared"), "fixed"),
+    "absent": (SubTask("robot_0", MOVE, "ABSENT", "shared"), "no "),
+    "onto itself": (SubTask("robot_0", MOVE, "CUBE", "CUBE"), "cannot"),
+    "by cube": (SubTask("robot_0", HOOK, "CUBE", "CUBE"), "stick"),
+    "too early": (SubTask("robot_0", HOOK, "stick", "CUBE"), "prehook"),
+    "too far": (SubTask("FAR", MOVE, "CUBE", "shared"), "reach"),
 }
 
 
@@ -217,10 +218,16 @@ def evaluated(subtask: SubTask, grounder: Grounder) -> tuple[StepRecord, PolicyI
 
 
 def at_plan_level(subtask: SubTask) -> dict[str, Any]:
+    """Return what is said of a sub-task that changes nothing and earns nothing."""
     env = lemma.make("hook", level="plan", split="test", index=0)
     assert isinstance(env, PlanEnv)
-    env.reset()
-    return env.step(env.encode(subtask))[4]
+    _, before = env.reset()
+    _, *earned, info = env.step(env.encode(subtask))
+    assert earned == [0.0, False, False]
+    for name, pose in before["state"].items():
+        assert np.allclose(info["state"][name], pose, atol=1e-4)
+    assert env.step(env.encode(STOP))[4]["failure"] == "goal_not_reached"
+    return info
 
 
 def in_scene(subtask: SubTask) -> SubTask:
@@ -240,13 +247,16 @@ def in_scene(subtask: SubTask) -> SubTask:
     )
 
 
-@pytest.mark.parametrize("subtask", IMPOSSIBLE.values(), ids=IMPOSSIBLE)
-def test_evaluation_says_what_the_plan_level_says(subtask: SubTask) -> None:
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_evaluation_says_what_the_plan_level_says(case: str) -> None:
+    subtask, words = IMPOSSIBLE[case]
     wanted = in_scene(subtask)
     said = at_plan_level(wanted)
+    assert said["outcome"] == ("unreachable" if case == "too far" else "invalid")
+    assert words in said["explanation"]
     step, after = evaluated(wanted, OracleGrounder())
     assert step.grounded is None
-    assert str(step.result.outcome) == said["outcome"] != "success"
+    assert str(step.result.outcome) == said["outcome"]
     assert step.result.explanation == said["explanation"]
     [past] = after.past
     assert (past.outcome, past.explanation) == (said["outcome"], said["explanation"])

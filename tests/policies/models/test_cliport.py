@@ -1,53 +1,35 @@
 """CLIPort, of two kinds, learns, decides each frame for itself, says what it cannot."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import pytest
 import torch
 from batches import (
-    TINY_STREAMS,
     drawn_batch,
-    gradients,
     inputs_of,
     labels_of,
     learn_by_heart,
     part_of,
-    total,
 )
+from tiny_models import tiny as tiny_model
 
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import PRIMITIVES, STOP
 from lemma.policies.entities import BENCHMARK
-from lemma.policies.interfaces import Grounder, Policy
+from lemma.policies.interfaces import Grounder
 from lemma.policies.models.cliport.model import (
-    CLIPort,
-    MCLIPort,
-    MCLIPortConfig,
-    PickAndPlace,
     Poses,
     score_poses,
 )
-from lemma.policies.models.cliport.networks import CLIPortConfig
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
 
 PLACES = BENCHMARK.places
 
-TINY = CLIPortConfig(**TINY_STREAMS)
-
-
-def tiny(**changes: Any) -> CLIPort:
-    torch.manual_seed(0)
-    return CLIPort(replace(TINY, **changes))
-
-
-def tiny_whole() -> MCLIPort:
-    torch.manual_seed(0)
-    return MCLIPort(MCLIPortConfig(**TINY_STREAMS))
+tiny, tiny_whole = partial(tiny_model, "cliport"), partial(tiny_model, "m-cliport")
 
 
 @pytest.mark.slow
@@ -75,17 +57,6 @@ def test_it_learns_an_episode_by_heart() -> None:
         assert abs(found.place.yaw - found.pick.yaw) <= math.pi + 1e-5
 
 
-@pytest.mark.parametrize("make", [tiny, tiny_whole])
-def test_every_weight_has_a_gradient(make: Callable[[], PickAndPlace]) -> None:
-    model = make()
-    losses = model.loss(drawn_batch(3))
-    assert all(value.isfinite() for value in losses.values())
-    total(losses).backward()
-    for name, gradient in gradients(model).items():
-        assert gradient is not None, name
-        assert gradient.isfinite().all(), name
-
-
 def test_stop_costs_nothing_and_changes_nothing() -> None:
     batch = drawn_batch(3)
     model = tiny().eval()
@@ -94,18 +65,6 @@ def test_stop_costs_nothing_and_changes_nothing() -> None:
     for name, value in with_stop.items():
         assert value.item() == pytest.approx(without[name].item(), rel=1e-3)
     assert all(v.item() == 0.0 for v in model.loss(part_of(batch, [2])).values())
-
-
-def test_a_decision_does_not_depend_on_the_others() -> None:
-    batch = drawn_batch(5, stop_last=False)
-    model = tiny().eval()
-    with torch.inference_mode():
-        together = model.poses(batch)
-        alone = model.poses(part_of(batch, [3]))
-        again = model.poses(batch)
-    assert torch.allclose(together.pick[3], alone.pick[0], atol=1e-4)
-    assert torch.allclose(together.place[3], alone.place[0], atol=1e-4)
-    assert torch.equal(together.place, again.place)
 
 
 def test_the_words_matter() -> None:
@@ -195,16 +154,6 @@ def test_what_has_no_words_is_not_grounded() -> None:
     assert found[2] is not None
     assert (found[2].robot, found[2].primitive) == ("robot_1", Primitive.MOVE)
     assert isinstance(model, Grounder)
-
-
-def test_grounding_leaves_training_as_it_was() -> None:
-    model = tiny().train()
-    model.ground(
-        inputs_of(drawn_batch(1, stop_last=False)),
-        [SubTask("robot_0", Primitive.MOVE, "red_cube", "shared")],
-    )
-    assert model.training
-    assert model.pick_text.training
 
 
 def scored(
@@ -297,17 +246,6 @@ def test_a_batch_of_stops_alone_is_fine() -> None:
     losses = tiny_whole().loss(batch)
     assert losses["stop"] > 0
     assert all(v == 0 for n, v in losses.items() if n != "stop")
-
-
-def test_a_whole_decision_does_not_depend_on_the_others() -> None:
-    model = tiny_whole()
-    inputs = inputs_of(drawn_batch(5, stop_last=False))
-    together, alone = model.act(inputs)[3], model.act(inputs[3:4])[0]
-    assert together.subtask == alone.subtask
-    if together.grounded and alone.grounded:
-        assert math.dist(together.grounded.place.xy, alone.grounded.place.xy) < 1e-4
-    assert model.act(inputs) == model.act(inputs)
-    assert isinstance(model, Policy)
 
 
 def test_a_wrong_stop_is_no_decision() -> None:

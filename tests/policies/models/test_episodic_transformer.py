@@ -1,12 +1,13 @@
 import copy
 import gc
 from dataclasses import replace
+from functools import partial
 
 import batches
 import pytest
 import torch
 from batches import drawn_batch, labels_of, part_of
-from tiny_transformer import tiny
+from tiny_models import tiny as tiny_model
 
 from lemma.policies.batch import MAX_PAST, NOBODY, STOP, Batch
 from lemma.policies.compose import MultiStep
@@ -27,6 +28,8 @@ from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import Primitive, SubTask
 
 PLACES = BENCHMARK.places
+
+tiny = partial(tiny_model, "episodic-transformer")
 
 
 def episodes(*sizes: int) -> Batch:
@@ -83,25 +86,14 @@ def test_it_overfits_an_episode_and_then_acts_it_out() -> None:
     assert model.plan(inputs_of(batch)) == decided(batch)
 
 
-def test_scores_leave_out_what_stop_does_not_say() -> None:
+def test_scores_and_losses_leave_out_what_stop_does_not_say() -> None:
     score = tiny().eval().score(drawn_batch(3))
     assert set(score) == {*PARTS, "plan"}
     assert torch.isnan(score["robot"]).tolist() == [False, False, True]
     assert torch.isnan(score["pick"]).tolist() == [False, False, True]
     assert not torch.isnan(score["plan"]).any()
     assert not torch.isnan(score["primitive"]).any()
-
-
-def test_every_weight_is_trained_and_stop_alone_gives_no_nan() -> None:
-    model = tiny(first_view_only=0.5).train()
-    sum(model.loss(drawn_batch(4)).values()).backward()  # type: ignore[union-attr]
-    for name, weight in model.named_parameters():
-        assert weight.grad is not None, name
-        assert torch.isfinite(weight.grad).all(), name
-        assert weight.grad.abs().sum() > 0, name
-    loss = model.loss(drawn_batch(1))
-    assert all(torch.isfinite(term) for term in loss.values())
-    assert loss["robot"].item() == 0.0
+    assert tiny().loss(drawn_batch(1))["robot"].item() == 0.0
 
 
 def test_episodes_in_a_batch_do_not_touch_each_other() -> None:
@@ -183,14 +175,6 @@ def test_what_is_chosen_can_always_be_said() -> None:
         assert given.words_for(subtask)
         assert subtask.pick != subtask.place
     assert len(kinds) == 6
-
-
-def test_plans_do_not_depend_on_the_company_or_the_mode() -> None:
-    model = tiny().train()
-    given = inputs_of(drawn_batch(4, seed=3))
-    together = model.plan(given)
-    assert model.training
-    assert [model.plan([one])[0] for one in given] == together
 
 
 def test_a_lone_robot_is_never_told_to_be_the_second() -> None:

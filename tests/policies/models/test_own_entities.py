@@ -7,6 +7,7 @@ import pytest
 import torch
 from batches import drawn_batch, gradients, labels_of, total
 from own_plugins import loaded
+from tiny_models import tiny
 from torch import Tensor
 
 from lemma.core.errors import DatasetError, InvalidConfigError
@@ -16,10 +17,7 @@ from lemma.policies.models.episodic_transformer import (
     EpisodicTransformer,
     EpisodicTransformerConfig,
 )
-from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
-from lemma.policies.models.reachnet.perception import PerceptionConfig
 from lemma.policies.models.reachnet.planner import (
-    PlannerConfig,
     decision_of,
     number_of,
 )
@@ -78,15 +76,7 @@ def test_they_are_numbered_by_what_is_done_with_them(entities: EntitySet) -> Non
 
 
 def test_reachnet_learns_of_them(entities: EntitySet) -> None:
-    torch.manual_seed(0)
-    model = ReachNet(
-        ReachNetConfig(
-            entities=entities.names,
-            eye=PerceptionConfig(widths=(16, 16), blocks=1, ring_width=16),
-            planner=PlannerConfig(width=32, layers=1, heads=2),
-            cell_m=0.025,
-        )
-    )
+    model = tiny("reachnet", entities=entities.names)
     assert model.config.entities == entities.names
     batch = with_tins(drawn_batch(4), entities)
     total(model.loss(batch)).backward()

@@ -12,6 +12,7 @@ import torch
 from batches import labels_of
 from painted_keyframes import RASTER, paint, write_painted
 from rendered_sets import keyframes_folder
+from tiers import slow_but
 from torch import Tensor
 
 from lemma.core.errors import InvalidConfigError
@@ -112,24 +113,20 @@ def test_labels_are_right_after_every_augmentation(name: str) -> None:
         batch = augment(whole(frames()), EACH[name], stream(name, draw))
         assert assert_labels_fit_the_image(batch) > 4 * EPISODES
         assert_decisions_fit(batch)
+        # Nothing is shown where no camera sees.
+        assert not batch.rgb[~batch.coverage].any()
+        assert not batch.height_m[~batch.coverage].any()
+        assert torch.isfinite(batch.height_m).all()
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", slow_but(EACH, "all"))
 def test_labels_are_right_in_rendered_frames(name: str) -> None:
     batch = whole(rendered())
     before = assert_labels_fit_the_image(batch)
     batch = augment(batch, EACH[name], stream(name, "rendered"))
     # Some may be moved out of the map, or into a hole.
     assert assert_labels_fit_the_image(batch) > 0.8 * before
-
-
-@pytest.mark.parametrize("name", EACH)
-def test_nothing_is_shown_where_no_camera_sees(name: str) -> None:
-    batch = augment(whole(frames()), EACH[name], stream(name))
-    assert not batch.rgb[~batch.coverage].any()
-    assert not batch.height_m[~batch.coverage].any()
-    assert torch.isfinite(batch.height_m).all()
 
 
 def same(first: Batch, second: Batch) -> bool:

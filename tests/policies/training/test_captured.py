@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 import torch
-from batches import TINY_STREAMS, drawn_batch
+from batches import drawn_batch
 from tiers import slow_but
+from tiny_models import OPTIONS
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from lemma.policies.models.catalog import MODELS, make_model
@@ -50,7 +51,7 @@ def test_there_are_models_to_capture() -> None:
 def test_the_loss_needs_no_text_and_waits_for_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = make_model(name, TINY_STREAMS if "cliport" in name else {}).train()
+    model = make_model(name, OPTIONS.get(name, {})).train()
     batch = drawn_batch(4)
     assert batch.labels is not None
     if name == "keypose":

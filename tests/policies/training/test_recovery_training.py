@@ -10,7 +10,7 @@ import torch
 from batches import drawn_batch, labels_of
 from painted_keyframes import painted, painted_recovery  # noqa: F401 - fixtures
 from tiny_model import NAME, Tiny, TinyConfig
-from tiny_transformer import tiny
+from tiny_models import tiny
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.policies.batch import MAX_PAST, NOBODY, Batch
@@ -105,7 +105,7 @@ def test_the_episodic_transformer_remembers_what_was_executed(recovery: Path) ->
 
 
 def test_first_views_are_shown_throughout_only_where_nothing_went_wrong() -> None:
-    model = tiny(first_view_only=1.0).train()
+    model = tiny("episodic-transformer", first_view_only=1.0).train()
     batch = drawn_batch(4)
     layout = layout_of_batch(batch)
     cells = torch.randn(4, 3)

@@ -5,8 +5,6 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from lemma.core.errors import UnknownNameError
 from lemma.core.seeding import stream
@@ -106,37 +104,12 @@ def test_every_unseen_template_has_a_word_that_training_lacks(task):
 
 
 @pytest.mark.parametrize("task", SUITE)
-def test_every_template_of_every_task_agrees_on_the_goal(task):
+def test_templates_agree_on_the_goal_and_are_plain_and_short(task):
     for name, template in named(task):
         for goal in goals_of(template):
             sentence = template.render(goal)
             said = {other.parse(sentence) for other in EVERY_TEMPLATE} - {None}
             assert said == {frozenset(goal)}, name
-
-
-@given(data=st.data())
-@settings(max_examples=200, deadline=None)
-def test_parse_is_the_inverse_of_render(data):
-    template = data.draw(st.sampled_from(EVERY_TEMPLATE))
-    kinds = kinds_of(template)
-    number = 2 * len(kinds)
-    colors = data.draw(
-        st.lists(st.sampled_from(COLORS), min_size=number, max_size=number, unique=True)
-    )
-    goal = tuple(
-        (f"{colors[2 * i]}_{top}", f"{colors[2 * i + 1]}_{bottom}")
-        for i, (top, bottom) in enumerate(kinds)
-    )
-    sentence = template.render(goal)
-    assert language.parse(sentence) == frozenset(goal)
-    assert language.parse(f"  {sentence.upper()}! ") == frozenset(goal)
-
-
-@pytest.mark.parametrize("task", SUITE)
-def test_sentences_are_plain_and_short(task):
-    for name, template in named(task):
-        for goal in goals_of(template):
-            sentence = template.render(goal)
             assert sentence.isascii(), name
             assert len(sentence) <= 200, name
             assert not set("{}_") & set(sentence), name
@@ -144,25 +117,17 @@ def test_sentences_are_plain_and_short(task):
                 assert entity.split("_")[0] in language.words(sentence), name
 
 
-def test_swapped_roles_are_another_sentence_with_another_goal():
-    stacking = [t for t in EVERY_TEMPLATE if kinds_of(t)[0][1] == "cube"]
-    assert len(stacking) > 50
-    for template in stacking:
-        goal = goals_of(template)[0]
-        swapped = tuple((bottom, top) for top, bottom in goal)
-        sentence = template.render(swapped)
-        assert sentence != template.render(goal)
-        assert language.parse(sentence) == frozenset(swapped), sentence
-        assert language.parse(sentence) != frozenset(goal), sentence
-
-
-def test_the_order_of_conjuncts_does_not_change_the_goal():
-    pairs = [t for t in EVERY_TEMPLATE if len(t.roles) == 2]
-    assert len(pairs) > 20
-    for template in pairs:
-        goal = goals_of(template)[0]
-        sentence = template.render(goal[::-1])
-        assert language.parse(sentence) == frozenset(goal), sentence
+def test_parse_is_the_inverse_of_render() -> None:
+    """In any case of letters; the colors of the roles are drawn."""
+    for name, template in NAMED.items():
+        drawn = stream("language", name).permutation(len(COLORS))
+        colors = iter([COLORS[number] for number in drawn])
+        goal = tuple(
+            (f"{next(colors)}_{top}", f"{next(colors)}_{bottom}")
+            for top, bottom in kinds_of(template)
+        )
+        sentence = template.render(goal)
+        assert language.parse(f"  {sentence.upper()}! ") == frozenset(goal), name
 
 
 # An English reader that knows nothing of roles: what follows "on" is below, what
