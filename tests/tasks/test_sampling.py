@@ -23,12 +23,6 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.pad import PAD_RADIUS_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
-from lemma.scene.objects.tray import (
-    HANDLE_GRASP_M,
-    HANDLE_WIDTH_M,
-    PLATE_LENGTH_M,
-    TRAY_LENGTH_M,
-)
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -202,28 +196,9 @@ def able(instance: Instance, name: str) -> list[int]:
 def test_each_robot_either_works_with_a_thing_or_could_not_touch_it(task: str) -> None:
     for instance in of_test_split(task):
         for placed in on_the_table(instance):
-            if placed.kind in ("tray", "rack"):
-                assert sorted(ends_of(instance, placed)) == [0, 1]
-            else:
+            # Of trays and racks, tests of carry say the same about both handles.
+            if placed.kind not in ("tray", "rack"):
                 able(instance, placed.name)
-
-
-def ends_of(instance: Instance, placed: ObjectPlacement) -> list[int]:
-    """The only robot that works at each handle; fails where another could touch it."""
-    found = []
-    for side in (-1, 1):
-        handle = placed.pose @ Pose2(side * HANDLE_GRASP_M, 0.0)
-        (robot,) = (i for i, r in enumerate(instance.scene.robots) if works(r, handle))
-        found.append(robot)
-        other = instance.scene.robots[1 - robot]
-        rim = [
-            placed.pose @ Pose2(side * along, across)
-            for along in (PLATE_LENGTH_M / 2, TRAY_LENGTH_M / 2)
-            for across in (-HANDLE_WIDTH_M / 2, HANDLE_WIDTH_M / 2)
-        ]
-        nearest = min(other.base.distance(point) for point in rim)
-        assert nearest > could_of(other.arm).touch_m + 0.029, instance.key
-    return found
 
 
 @pytest.mark.parametrize("task", SUITE)
