@@ -41,10 +41,9 @@ FAMILIES = (
     "exchange",
     "strong",
     "bridge",
+    "carry",
 )
-"""The families of the suite ``teams``, for three and four robots."""
-UNLISTED = ("carry",)
-"""Families without frozen lists, which are in no suite."""
+"""The families of the suite ``teams``, for two to four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))
