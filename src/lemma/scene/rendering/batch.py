@@ -114,23 +114,21 @@ class OpenGLRenderer:
             UnknownNameError: The scene has no such camera.
             RenderingError: OpenGL does not work here.
         """
-        renderer, model = self._renderer, scene.model
+        draw, model = self._renderer, scene.model
         colors, depths = np.empty(0, np.uint8), np.empty(0, np.float32)
         for i, row in enumerate(qpos):
-            data = scene.posed(row)
-            cameras = aim(data)
+            cameras = aim(data := scene.posed(row))
             if i == 0:
-                size = (len(qpos), len(cameras), renderer.height, renderer.width)
+                size = (len(qpos), len(cameras), draw.height, draw.width)
                 colors = np.empty((*size, 3), np.uint8)
                 depths = np.empty(size if depth else 0, np.float32)
             # One block for the images of a state: its start and end take a while.
             with current_context():
                 for k, camera in enumerate(cameras):
                     if depth:
-                        images = colors[i, k], depths[i, k]
-                        renderer.write_rgbd(model, data, camera, *images)
+                        draw.write_rgbd(model, data, camera, colors[i, k], depths[i, k])
                     else:
-                        colors[i, k] = renderer.rgb(model, data, camera)
+                        colors[i, k] = draw.rgb(model, data, camera)
         return Pictures(colors, depths if depth else None)
 
     def describe(self) -> str:
