@@ -134,13 +134,14 @@ class ControlEnv(LemmaEnv):
         self._settled_s = self._settled_s + step_s if success else 0.0
         if self._settled_s >= SETTLE_S - 0.5 * TICK_S:
             episode.stop()
-        episode.conclude()
-        if episode.is_over:
+        over = episode.is_over
+        if over:
+            episode.conclude()
             # The cached goal progress is out of date.
             self._goal_progress = None
         reward = self.rewards.reward(episode)
-        terminated = episode.stopped or episode.has_failed
-        return reward, terminated, episode.out_of_time and not terminated
+        terminated = over and (episode.stopped or episode.has_failed)
+        return reward, terminated, over and not terminated
 
     def _remember(self) -> dict[str, Any]:
         return {"settled_s": self._settled_s}

@@ -365,7 +365,7 @@ def read_text(codes: NDArray[np.uint8]) -> str:
 
 def object_poses(scene: Scene) -> dict[str, FloatArray]:
     """Return the true pose of every object: position [m] and quaternion wxyz, (7,)."""
-    return {name: scene.pose_row(name) for name in scene.object_names}
+    return scene.pose_rows()
 
 
 def _box(low: Any, high: Any) -> spaces.Box:

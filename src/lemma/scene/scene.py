@@ -83,12 +83,9 @@ class Scene:
             for placed in spec.objects
             if placed.entity.kind.fixed
         }
-        self._fixed_rows = {
-            name: np.array((*pose.position, *pose.quaternion))
-            for name, pose in self._fixed_poses.items()
-        }
         self.object_names = spec.object_names
         """Names of the entities on the table."""
+        self._rows = {name: self._view_row(name) for name in self.object_names}
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
         }
@@ -162,15 +159,21 @@ class Scene:
         Raises:
             UnknownNameError: There is no such object in this scene.
         """
-        address = self._free_qpos.get(name)
-        row: FloatArray
-        if address is not None:
-            row = self._qpos[address : address + 7].copy()
-        elif name in self._fixed_rows:
-            row = self._fixed_rows[name].copy()
-        else:
+        if name not in self._rows:
             raise self._unknown(name)
-        return row
+        return self._rows[name].copy()
+
+    def pose_rows(self) -> dict[str, FloatArray]:
+        """Return :meth:`pose_row` of every object, by name."""
+        return {name: row.copy() for name, row in self._rows.items()}
+
+    def _view_row(self, name: str) -> FloatArray:
+        """Return the array that :meth:`pose_row` copies: a view of ``data.qpos``."""
+        address = self._free_qpos.get(name)
+        if address is not None:
+            return self._qpos[address : address + 7]
+        pose = self._fixed_poses[name]
+        return np.array((*pose.position, *pose.quaternion))
 
     def qpos_of(self, name: str) -> int:
         """Return the address of an object's pose in ``data.qpos``; -1 if fixed."""

@@ -99,6 +99,11 @@ class PoseController(Controller):
         self._drive = partial(
             drive_poses, *self.shared, self._workspaces, self._spheres
         )
+        self._aim = partial(
+            aim_arms,
+            *(self.guard.records, self.states, self._parks),
+            *(self._rows, self._workspaces),
+        )
 
     def check(self, rows: FloatArray) -> None:
         """Refuse numbers that are no rotation."""
@@ -118,15 +123,15 @@ class PoseController(Controller):
         super().command(rows)
         for k in range(len(rows)):
             self._write_target(k, rows[k])
-        aim_arms(
-            *(self.guard.records, self.states, self._parks),
-            *(self._rows, self._workspaces),
-        )
+        self._aim()
 
     def _write_target(self, k: int, row: FloatArray) -> None:
         """Convert a row to the target position [m] and quaternion of arm ``k``."""
-        self._rows[k, :3] = row[:3]
-        self._rows[k, 3:7] = self._quaternion(row)
+        if self.rotation is QUATERNION:
+            self._rows[k, :7] = row[:7]
+        else:
+            self._rows[k, :3] = row[:3]
+            self._rows[k, 3:7] = self._quaternion(row)
 
     def _quaternion(self, row: FloatArray) -> Sequence[float]:
         found = self.rotation.quaternion(row[3:-1].tolist())

@@ -30,6 +30,7 @@ from lemma.core.poses import FloatArray, matrix_from_quaternion
 from lemma.core.registry import Registry
 from lemma.scene.cameras import Camera
 from lemma.scene.rendering.gl_backend import choose_backend
+from lemma.scene.rendering.gl_context import current_context
 from lemma.scene.rendering.model_cameras import camera_from_model
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
@@ -113,21 +114,22 @@ class OpenGLRenderer:
             UnknownNameError: The scene has no such camera.
             RenderingError: OpenGL does not work here.
         """
-        colors, depths = [], []
-        for row in qpos:
-            data = scene.posed(row)
-            for camera in aim(data):
-                if depth:
-                    image = self._renderer.rgbd(scene.model, data, camera)
-                    depths.append(image.depth_m)
-                    colors.append(image.rgb)
-                else:
-                    colors.append(self._renderer.rgb(scene.model, data, camera))
-        size = (len(qpos), -1, self._renderer.height, self._renderer.width)
-        return Pictures(
-            np.array(colors).reshape(*size, 3),
-            np.array(depths).reshape(size) if depth else None,
-        )
+        draw, model = self._renderer, scene.model
+        colors, depths = np.empty(0, np.uint8), np.empty(0, np.float32)
+        for i, row in enumerate(qpos):
+            cameras = aim(data := scene.posed(row))
+            if i == 0:
+                size = (len(qpos), len(cameras), draw.height, draw.width)
+                colors = np.empty((*size, 3), np.uint8)
+                depths = np.empty(size if depth else 0, np.float32)
+            # One block for the images of a state: its start and end take a while.
+            with current_context():
+                for k, camera in enumerate(cameras):
+                    if depth:
+                        draw.write_rgbd(model, data, camera, colors[i, k], depths[i, k])
+                    else:
+                        colors[i, k] = draw.rgb(model, data, camera)
+        return Pictures(colors, depths if depth else None)
 
     def describe(self) -> str:
         """Return software and device, on both of which the pixels depend."""

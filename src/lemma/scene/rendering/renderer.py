@@ -126,13 +126,26 @@ class Renderer:
             else camera
         )
         rgb = np.empty((self.height, self.width, 3), np.uint8)
-        buffer = np.empty((self.height, self.width), np.float32)
-        scene = self._draw(model, data, camera, rgb, buffer)
-        gl_camera = scene.camera[0]
-        depth_m = depth_from_buffer(
-            buffer, gl_camera.frustum_near, gl_camera.frustum_far
-        )
-        return CameraImage(_upright(rgb), _upright(depth_m), calibrated)
+        depth_m = np.empty((self.height, self.width), np.float32)
+        self.write_rgbd(model, data, camera, rgb, depth_m)
+        return CameraImage(rgb, depth_m, calibrated)
+
+    def write_rgbd(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        camera: str | Camera,
+        rgb: RgbImage,
+        depth_m: DepthImage,
+    ) -> None:
+        """Write the images of :meth:`rgbd`, for a camera that it accepts, to arrays."""
+        if isinstance(camera, Camera):
+            self._check_size(camera)
+        pixels, buffer = np.empty_like(rgb), np.empty_like(depth_m)
+        scene = self._draw(model, data, camera, pixels, buffer)
+        near_m, far_m = scene.camera[0].frustum_near, scene.camera[0].frustum_far
+        rgb[:] = pixels[::-1]
+        depth_m[:] = depth_from_buffer(buffer, near_m, far_m)[::-1]
 
     def rgb(
         self,
