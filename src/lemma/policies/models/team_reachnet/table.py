@@ -243,7 +243,7 @@ def recalled(now: TeamTable, memory: TeamTable) -> TeamTable:
     """Return scenes with all entities that are hidden now, as they are remembered.
 
     Args:
-        now: What is seen.
+        now: The scenes as they are seen.
         memory: The first scenes, after all moves that succeeded.
     """
     hidden = memory.there & ~now.there
