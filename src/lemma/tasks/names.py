@@ -43,7 +43,7 @@ FAMILIES = (
     "bridge",
 )
 """The families of the suite ``teams``, for three and four robots."""
-UNLISTED = ("carry",)
+UNLISTED = ("carry", "give")
 """Families without frozen lists, which are in no suite."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""
