@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 MEETING_HEIGHT_M = 0.25
 """Height of both hands as the thing changes hands [m]."""
-_ABOVE_M = 0.08
-"""From so far above the taker comes down, and so far the giver rises."""
+_ABOVE_M = 0.12
+"""The taker waits so far above, where the thing passes below its fingers."""
+_RISE_M = 0.08
+"""The giver rises so far after it has let go."""
 _PRESS_M = 0.0005
 
 
@@ -53,25 +55,25 @@ def _hand_over(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
     yield from reserve_together(runner, arm, joint)
     pick, met = _parts(arm, joint)
     low = _stand(pick, _bottom_m(runner, joint) + _grip_m(joint))
-    over, above = (_stand(at, TRAVEL_HEIGHT_M) for at in (pick, met))
-    held_out = _stand(met, MEETING_HEIGHT_M)
+    over, held_out = _stand(pick, TRAVEL_HEIGHT_M), _stand(met, MEETING_HEIGHT_M)
+    risen = _stand(met, MEETING_HEIGHT_M + _RISE_M)
     for stand in (low, over):
         moves.check_reach(stand, "pick")
-    for stand in (held_out, above):
+    for stand in (held_out, risen):
         moves.check_reach(stand, "meeting")
     runner.feel(arm, pick, joint.thing)
     yield from moves.grasp(over, low)
     yield from moves.rise(low, over[2] - FLY_BY_M)
     moves.check_held()
     runner.feel(arm, met, joint.thing)
-    yield from moves.to(above, fly_by=True)
-    yield from moves.lower(held_out)
+    yield from moves.to(held_out, fly_by=True)
+    yield from moves.to(held_out)
     moves.check_held()
     yield from joint.meet(name, scene)
     yield from joint.meet(name, scene)
     arm.opening_m = FINGER_OPENING_M
     yield from moves.wait_for_fingers()
-    yield from moves.rise(held_out, held_out[2] + _ABOVE_M)
+    yield from moves.rise(held_out, risen[2])
     yield from joint.meet(name, scene)
 
 

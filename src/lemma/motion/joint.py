@@ -187,7 +187,7 @@ def meeting(
     """Return where a thing is in the air as it changes hands.
 
     It lies along the line between both bases, the giver's end towards the giver. Both
-    stretch out by the same share of their reach.
+    hands are equally far inside of what they reach.
 
     Args:
         giver: The robot that brings it.
@@ -198,8 +198,9 @@ def meeting(
     base, towards = giver.base, taker.base
     reach, theirs = (reach_of(placed.arm).travel_m for placed in (giver, taker))
     way = base.distance(towards) - mine.distance(other)
+    out_m = 0.5 * (way + reach - theirs)
     bearing = math.atan2(towards.y - base.y, towards.x - base.x)
-    hand = Pose2(base.x, base.y, bearing) @ Pose2(way * reach / (reach + theirs), 0.0)
+    hand = Pose2(base.x, base.y, bearing) @ Pose2(out_m, 0.0)
     along = math.atan2(other.y - mine.y, other.x - mine.x)
     return hand @ Pose2(0.0, 0.0, -along) @ Pose2(-mine.x, -mine.y)
 

@@ -328,7 +328,7 @@ LAYOUTS.add(
         summary="Two robots stand face to face, with a gap in the table between them.",
         size=2,
         neighbors=((0, 1),),
-        width=(-0.15, -0.08),
+        width=(-0.13, -0.07),
         orders=((0, 1), (1, 0)),
         shape=_pair,
         split=gap_out_of_reach,
