@@ -23,6 +23,7 @@ from lemma.planning.schedule import in_order, pose_jobs
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.robots.could import could_of
 from lemma.robots.reach import TRAVEL_HEIGHT_M, reach_of
+from lemma.scene.objects.pad import PAD_RADIUS_M
 from lemma.scene.objects.rod import END_GRASP_M, ROD, ROD_LENGTH_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
@@ -219,7 +220,7 @@ def test_neither_robot_could_do_it_and_a_rod_falls_into_the_gap() -> None:
 
 def test_with_the_pad_within_the_rods_length_one_robot_is_enough() -> None:
     goal = instance().goal.from_pairs((("rod", "blue_pad"),))
-    near = LEFT.x + could_of("ur5").touch_m + 0.5 * ROD_LENGTH_M
+    near = LEFT.x + could_of("ur5").touch_m + 0.5 * ROD_LENGTH_M + PAD_RADIUS_M
     for x, who in ((near, (0,)), (near + 0.2, (0, 1))):
         spec = table(Pose2(x, 0.0))
         territory = Territory(ROBOTS, spec.gap_m)
