@@ -9,13 +9,14 @@ and after the thing changes hands (:class:`.Joint`).
 import math
 from typing import TYPE_CHECKING
 
-from lemma.core.poses import Pose2
+from lemma.core.poses import Pose2, wrap
 from lemma.motion.arm_motion import ArmMotion
-from lemma.motion.joint import Joint, reserve_together, turned_for
+from lemma.motion.joint import Joint, reserve_together
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.ur.kinematics import top_down
 from lemma.scene.objects.entity import kind_of
 from lemma.tasks.subtask import GroundedSubTask
 
@@ -81,8 +82,37 @@ def _parts(arm: ArmMotion, joint: Joint) -> tuple[Pose2, Pose2]:
     """Return the giver's hand as it picks the thing up, and as it holds it out."""
     assert joint.meeting is not None
     at = joint.start.inverse() @ joint.subtasks[arm.robot.name].pick
-    grip = turned_for(arm, at, joint.start)
+    grip = _turned(arm, at, joint.start, joint.meeting)
     return joint.start @ grip, joint.meeting @ grip
+
+
+def _turned(arm: ArmMotion, grip: Pose2, start: Pose2, end: Pose2) -> Pose2:
+    """Return a grip, half a turn on where that keeps the last joint off its limits.
+
+    The hand turns with the arm as far as the thing does not turn by itself.
+
+    Args:
+        arm: The arm.
+        grip: The hand in the frame of the thing.
+        start: Where the hand grasps the thing.
+        end: Where it lets go.
+    """
+    base, found = arm.robot.placement.base, list[tuple[float, float]]()
+    for more in (0.0, math.pi):
+        turned = Pose2(grip.x, grip.y, grip.yaw + more)
+        one, other = start @ turned, end @ turned
+        posture = arm.solve_posture(top_down(*_stand(one, MEETING_HEIGHT_M)))
+        if posture is not None:
+            swing = _bearing(base, other) - _bearing(base, one)
+            first = float(posture[-1])
+            last = first - wrap(other.yaw - one.yaw - swing)
+            found.append((max(abs(first), abs(last)), more))
+    more = min(found, default=(0.0, 0.0))[1]
+    return Pose2(grip.x, grip.y, grip.yaw + more)
+
+
+def _bearing(base: Pose2, at: Pose2) -> float:
+    return math.atan2(at.y - base.y, at.x - base.x)
 
 
 def _take(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
@@ -92,7 +122,7 @@ def _take(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
     part, thing = joint.subtasks[name], joint.thing
     assert joint.meeting is not None
     at = joint.meeting.inverse() @ part.pick
-    grip = turned_for(arm, at, joint.meeting)
+    grip = _turned(arm, at, joint.meeting, joint.end)
     wait = _stand(joint.meeting @ grip, MEETING_HEIGHT_M + _ABOVE_M)
     put_m = _support_m(runner, joint) + _grip_m(joint)
     put = _stand(joint.end @ grip, put_m)
