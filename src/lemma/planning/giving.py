@@ -123,9 +123,7 @@ def _turns() -> Iterator[float]:
         yield step * ((k + 1) // 2) * (1.0 if k % 2 else -1.0)
 
 
-def _is_free(
-    kind: ObjectKind, at: Pose2, hand: Pose2, discs: tuple[Disc, ...]
-) -> bool:
+def _is_free(kind: ObjectKind, at: Pose2, hand: Pose2, discs: tuple[Disc, ...]) -> bool:
     """Whether nothing lies below a thing that is put down, or in the hand's way."""
     half_m = kind.disc_m
     for x, y, radius in discs:

@@ -1,8 +1,8 @@
 """Primitives: one record each, with skill, grounding, candidates and language.
 
 The paper's six come first, in the order of their numbers in action spaces and trained
-weights, then ``reach`` and ``lift`` of the ladder, ``carry`` and ``give`` of two robots,
-then those of users.
+weights, then ``reach`` and ``lift`` of the ladder, ``carry`` and ``give`` of two
+robots, then those of users.
 """
 
 import math

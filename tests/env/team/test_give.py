@@ -1,6 +1,7 @@
 """One robot gives a rod to another over a gap: from hand to hand, or not at all."""
 
 import math
+from collections.abc import Callable
 from functools import cache
 
 import pytest
@@ -157,11 +158,11 @@ def over_the_gap(simulation: Simulation, pushed_m: float) -> Motion:
     out = Pose2(LEFT.x, LEFT.y, bearing) @ Pose2(out_m, 0.0)
     hand = (out.x, out.y, TRAVEL_HEIGHT_M, out.yaw)
     yield from moves.to(hand)
-    yield from moves.lower((*hand[:2], 0.06, hand[3]))
-    if pushed_m:
-        yield from moves.along((*hand[:2], 0.06, hand[3]), (
-            hand[0] + pushed_m, hand[1], 0.06, hand[3]), 0.5)  # fmt: skip
-    yield from moves.release((*hand[:2], 0.06, hand[3]))
+    down = (out.x, out.y, 0.06, out.yaw)
+    yield from moves.lower(down)
+    end = (out.x + pushed_m, out.y, 0.06, out.yaw)
+    yield from moves.along(down, end, 0.5)
+    yield from moves.release(end)
 
 
 def onto_the_edge(simulation: Simulation, pushed_m: float) -> Motion:
@@ -178,11 +179,13 @@ def onto_the_edge(simulation: Simulation, pushed_m: float) -> Motion:
     ("alone", "by_m"),
     [
         (over_the_gap, 0.0),
-        *(pytest.param(over_the_gap, 0.1, marks=pytest.mark.slow),),
-        *(pytest.param(onto_the_edge, 0.5, marks=pytest.mark.slow),),
+        pytest.param(over_the_gap, 0.1, marks=pytest.mark.slow),
+        pytest.param(onto_the_edge, 0.5, marks=pytest.mark.slow),
     ],
 )
-def test_one_arm_alone_drops_it_into_the_gap(alone, by_m: float) -> None:  # type: ignore[no-untyped-def]
+def test_one_arm_alone_drops_it_into_the_gap(
+    alone: Callable[[Simulation, float], Motion], by_m: float
+) -> None:
     simulation = Simulation(table())
     scene = simulation.scene
     try:
