@@ -17,7 +17,7 @@ from lemma.env.team.orders import Team
 from lemma.expert.expert import Expert, solve
 from lemma.expert.together import solve_together
 from lemma.motion.moves import Motion, Moves
-from lemma.motion.outcome import Outcome, SkillFailure
+from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import in_order, pose_jobs
@@ -40,6 +40,8 @@ from lemma.tasks.zones import Territory
 
 APART_M = 1.7
 FRESH = 20
+HIGH_M = 0.2
+"""The rod is at least so high as it changes hands."""
 LEFT, RIGHT = Pose2(-APART_M / 2, 0.0), Pose2(APART_M / 2, 0.0, math.pi)
 ROBOTS = (RobotPlacement("ur5", "red", LEFT), RobotPlacement("ur5", "white", RIGHT))
 START, PAD = Pose2(-0.75, -0.45, 2.0), Pose2(0.85, 0.5)
@@ -71,15 +73,12 @@ def lies_on_the_pad(scene: Scene) -> bool:
 
 
 def test_a_rod_goes_from_hand_to_hand_in_the_air() -> None:
-    simulation, held = Simulation(table()), list[set[str]]()
-    scene = simulation.scene
+    simulation = Simulation(table())
+    scene, held = simulation.scene, list[tuple[set[str], float]]()
+    simulation.observers.append(
+        lambda: held.append((set(scene.held()), float(scene.position("rod")[2])))
+    )
 
-    def look() -> None:
-        holds = {name for name, thing in simulation.held().items() if thing == "rod"}
-        if not held or held[-1] != holds:
-            held.append(holds)
-
-    simulation.observers.append(look)
     simulation.begin(GIVE)
     assert list(simulation.busy) == ["robot_0", "robot_1"]
     assert simulation.partner_of(GIVE) == "robot_1"
@@ -92,9 +91,10 @@ def test_a_rod_goes_from_hand_to_hand_in_the_air() -> None:
     assert not simulation.reservations.cells
     assert lies_on_the_pad(scene)
     assert scene.pose2("rod").distance(END) < 0.005
-    one, other = {"robot_0"}, {"robot_1"}
-    between = held[held.index(one) : held.index(other) + 1]
-    assert between == [one, one | other, other]
+    both = [k for k, (who, _) in enumerate(held) if len(who) == 2]
+    assert all("robot_1" not in who for who, _ in held[: both[0]])
+    assert all("robot_0" not in who for who, _ in held[both[-1] + 1 :])
+    assert min(height_m for _, height_m in held[both[0] : both[-1]]) > HIGH_M
     assert simulation.clocks["robot_0"] == simulation.clocks["robot_1"]
 
 
@@ -157,7 +157,7 @@ def over_the_gap(simulation: Simulation, pushed_m: float) -> Motion:
     bearing = math.atan2(PAD.y - LEFT.y, PAD.x - LEFT.x)
     out = Pose2(LEFT.x, LEFT.y, bearing) @ Pose2(out_m, 0.0)
     hand = (out.x, out.y, TRAVEL_HEIGHT_M, out.yaw)
-    yield from moves.to(hand)
+    yield from moves.to(hand, fly_by=True)
     down = (out.x, out.y, 0.06, out.yaw)
     yield from moves.lower(down)
     end = (out.x + pushed_m, out.y, 0.06, out.yaw)
@@ -188,14 +188,18 @@ def test_one_arm_alone_drops_it_into_the_gap(
 ) -> None:
     simulation = Simulation(table())
     scene = simulation.scene
-    try:
-        for _ in alone(simulation, by_m):
-            simulation.tick(("robot_0",))
-    except SkillFailure:
-        pass
+    for _ in alone(simulation, by_m):
+        simulation.tick(("robot_0",))
     simulation.rest(1.0)
+    assert scene.fallen == ("rod",)
     assert not lies_on_the_pad(scene)
-    assert scene.fallen == ("rod",) or scene.coasting.thrown
+
+
+def test_one_robot_alone_cannot_put_it_there() -> None:
+    for robot in ("robot_0", "robot_1"):
+        simulation = Simulation(table())
+        put = GroundedSubTask(robot, Primitive.MOVE, START, END)
+        assert simulation.execute(put).outcome is Outcome.UNREACHABLE
 
 
 def test_neither_robot_could_do_it_and_a_rod_falls_into_the_gap() -> None:
