@@ -26,9 +26,9 @@ from lemma.core.seeding import stream
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
-    goal_numbers,
 )
 from lemma.policies.models.reachnet.model import ReachNet
+from lemma.policies.models.reachnet.understanding import goal_numbers
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.refusals import refusal_bank

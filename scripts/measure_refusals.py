@@ -31,9 +31,9 @@ from lemma.core.seeding import stream
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
-    goal_numbers,
 )
 from lemma.policies.models.reachnet.model import ReachNet
+from lemma.policies.models.reachnet.understanding import goal_numbers
 from lemma.policies.text.refusals import RefusalBank, goal_for, refusal_bank
 from lemma.policies.weights import load_model
 from lemma.tasks.language.bank import templates

@@ -237,7 +237,10 @@ def test_baselines_and_ours_are_told_apart_by_what_they_read() -> None:
     pytest.importorskip("torch")
     from lemma.policies.models.catalog import MODELS  # noqa: PLC0415
 
-    assert {name for name in MODELS if MODELS[name][0].reads_outcomes} == {"reachnet"}
+    assert {name for name in MODELS if MODELS[name][0].reads_outcomes} == {
+        "reachnet",
+        "team-reachnet",
+    }
     policy = ByHeart()
     policy.reads_outcomes = False  # type: ignore[attr-defined]
     policy.plan = None  # type: ignore[method-assign, assignment]

@@ -10,7 +10,10 @@ from lemma.policies.training.config import DEFAULTS
 
 DOCS = Path(__file__).parents[2] / "docs"
 # Not all that is in the table: tests add models of their own.
-NAMES = ("episodic-transformer", "cliport", "m-cliport", "reachnet", "keypose")
+NAMES = (
+    *("episodic-transformer", "cliport", "m-cliport"),
+    *("reachnet", "team-reachnet", "keypose"),
+)
 
 
 def row_of(page: str, name: str) -> list[str]:

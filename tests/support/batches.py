@@ -109,6 +109,8 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
         tasks=["pass"] * frames,
         goals=[(("red_cube", "blue_pad"),)] * frames,
         robot_colors=[TEAM] * frames,
+        rules=[()] * frames,
+        hands=[()] * frames,
         perturbed=torch.zeros(frames, dtype=torch.bool),
     )
     past = np.full((frames, MAX_PAST, 4), NOBODY)

@@ -103,7 +103,7 @@ def light_tray(name: str) -> ObjectKind:
     """A tray of 0.2 kg, which one hand lifts level by one handle."""
     share = 0.2 / TRAY_MASS_KG
     parts = [replace(p, mass_kg=share * (p.mass_kg or 0.0)) for p in TRAY.parts]
-    return replace(TRAY, name=name, nouns=(name,), parts=tuple(parts))
+    return replace(TRAY, name=name, nouns=(name,), parts=tuple(parts), listed=True)
 
 
 THIN = (thin_pad("mat", PAD_RADIUS_M), thin_pad("rug", 0.3), light_tray("platter"))

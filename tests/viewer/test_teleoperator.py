@@ -177,7 +177,7 @@ def test_it_is_shown_again_and_whole(
     assert "It went differently" not in page
     for more in ([], ["--browser", tmp_path]):
         assert lemma("replay", taken, "--limit", "1", *more) == 2
-        assert "one episode" in capsys.readouterr().err
+        assert "a single episode" in capsys.readouterr().err
 
 
 def test_commands_alone_are_no_whole_episode(taken: Path) -> None:

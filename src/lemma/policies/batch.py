@@ -1,25 +1,18 @@
-"""Rendered keyframes as tensors on one device, and batches of them for every model."""
+"""Batches of frames with labels, as tensors on one device, for every model."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_number
-from lemma.dataset.rendered.dataset import POLICY_COLUMNS, MapsInMemory, keyframe_shards
-from lemma.dataset.rendered.keyframes import EXECUTED
-from lemma.env.control.key_poses import KINDS
-from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
-from lemma.robots.ur.arms import ARMS
-from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.raster import UNIT_M, Raster
+from lemma.scene.raster import Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.subtask import PAPER_PRIMITIVES
@@ -30,12 +23,6 @@ NOBODY = -1
 """Number for no robot and no entity, as in ``stop`` and in padding."""
 MAX_PAST = 12
 """Largest number of past decisions in a batch; older ones are left out."""
-
-_ARMS = tuple(ARMS)
-_SEEN = ("joints", "opening_m")
-_POSES = ("pick_pose", "place_pose", "bases", "kind_and_height")
-_DECISION = ("robot", "primitive", "pick", "place")
-_COLUMNS = (*POLICY_COLUMNS, "objects", "goal", "instance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +61,11 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The expert's next decision and the true poses, in the world frame."""
+    """The expert's next decision and the true poses, in the world frame.
+
+    In data with teams of different sizes, R is the largest size, and the rows of robots
+    that are not there have no meaning.
+    """
 
     episode: Tensor
     """Number of the episode in the data set, (B,)."""
@@ -99,181 +90,15 @@ class Labels:
     goals: list[GoalPairs]
     """The (top, bottom) entities that the instruction asks for."""
     robot_colors: list[tuple[str, ...]]
+    rules: list[tuple[str, ...]]
+    """The rule of each goal (:mod:`lemma.tasks.teams.rule`); empty without one."""
+    hands: list[tuple[str, ...]]
+    """Names of the robots' hands; empty where all have the standard one."""
     perturbed: Tensor
     """Whether the frames also depend on a perturbation, (B,) bool."""
     kind_and_height: Tensor | None = None
     """Only in data of key poses: index into ``KINDS`` and height [m], (B, 2);
     ``pick_pose`` and ``place_pose`` are then the key pose."""
-
-
-class Frames:
-    """All keyframes of a split, ready for a training loop."""
-
-    def __init__(
-        self,
-        maps: MapsInMemory,
-        device: torch.device | str = "cpu",
-        entities: EntitySet = BENCHMARK,
-        recorded: Sequence[str] = ENTITIES,
-    ) -> None:
-        """Move maps and labels to a device; they take 5 bytes per cell.
-
-        Args:
-            maps: Maps with the columns of :meth:`load`.
-            device: Device of the tensors.
-            entities: Entities, in the order of their numbers.
-            recorded: Entities in the order of the column ``objects``.
-
-        Raises:
-            InvalidConfigError: A decision moves an entity without a number.
-            DatasetError: A scene has an entity without a number.
-        """
-        columns, self.entities = _with_key_poses(maps.columns), entities
-        self.raster = maps.raster
-        self.device = torch.device(device)
-        self.rgb = torch.from_numpy(maps.rgb).to(self.device)
-        # 0.1 mm in 16 bits: signed, because torch knows few operations on uint16.
-        self.height = torch.from_numpy(maps.height.view(np.int16)).to(self.device)
-        self.tasks = [str(task) for task in columns["task"]]
-        self.instances = [
-            (task, int(index))
-            for task, index in zip(self.tasks, columns["index"], strict=True)
-        ]
-        instances = [json.loads(text) for text in columns["instance"]]
-        goals = [json.loads(goal) for goal in columns["goal"]]
-        self._instructions = [str(text) for text in columns["instruction"]]
-        self._lists: dict[str, list[Any]] = {
-            "tasks": self.tasks,
-            "goals": [tuple((top, bottom) for top, bottom in goal) for goal in goals],
-            "robot_colors": [tuple(c for _, c, *_ in i["robots"]) for i in instances],
-        }
-        perturbed = f"{EXECUTED}robot" in columns
-        decisions = _decisions(columns, entities)
-        executed = _decisions(columns, entities, EXECUTED) if perturbed else decisions
-        arms = [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
-        keyframe = self._tensor(columns["keyframe"], torch.int64)
-        gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
-        objects = poses_of(np.stack(list(columns["objects"])), recorded, entities)
-        self._tensors = {
-            "episode": torch.cumsum((keyframe == 0).long(), 0) - 1,
-            "keyframe": keyframe,
-            "decision": self._tensor(decisions, torch.int64),
-            "past": self._tensor(_pasts(columns, executed), torch.int64),
-            "arms": self._tensor(arms, torch.int64),
-            "objects": self._tensor(objects, torch.float32),
-            "gap_m": self._tensor(gaps, torch.float32),
-            "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
-            **{
-                name: self._tensor(np.stack(list(columns[name])), torch.float32)
-                for name in filter(columns.__contains__, (*_SEEN, *_POSES))
-            },
-        }
-
-    @classmethod
-    def load(
-        cls,
-        folder: str | Path,
-        split: str = "train",
-        tasks: Sequence[str] = (),
-        device: torch.device | str = "cpu",
-        entities: EntitySet = BENCHMARK,
-        *,
-        shared: bool = False,
-    ) -> "Frames":
-        """Read a folder that ``lemma render --form keyframes`` wrote.
-
-        Args:
-            folder: The rendered keyframes.
-            split: Name of a split.
-            tasks: Names of tasks; all if empty.
-            device: Device of the tensors.
-            entities: Entities, in the order of their numbers.
-            shared: Whether processes of this machine share the maps; see
-                :class:`~lemma.dataset.rendered.dataset.MapsInMemory`.
-
-        Raises:
-            DatasetError: Files are missing, damaged or of another version, scenes have
-                different numbers of robots, or a scene has an entity without a number.
-            InvalidConfigError: A decision moves an entity without a number.
-        """
-        columns: tuple[str, ...] = _COLUMNS
-        header = keyframe_shards(Path(folder), split, tasks)[0].header
-        if header.perturbed:
-            columns += tuple(f"{EXECUTED}{name}" for name in _DECISION)
-        columns += ("kind", "key_pose") if header.key_poses else ()
-        maps = MapsInMemory.load(folder, split, tasks, columns, shared=shared)
-        if len({np.shape(j) for j in maps.columns["joints"]}) > 1:
-            raise DatasetError(
-                f"{folder} mixes teams of different sizes. Choose tasks of one size."
-            )
-        return cls(maps, device, entities, header.entities)
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.rgb)
-
-    @property
-    def episodes(self) -> list[range]:
-        """The frames of each episode, in order."""
-        starts = torch.nonzero(self._tensors["keyframe"] == 0).flatten().tolist()
-        ends = [*starts[1:], len(self)]
-        return [range(a, b) for a, b in zip(starts, ends, strict=True)]
-
-    @property
-    def robots(self) -> int:
-        """Number of robots of every scene."""
-        return self._tensors["arms"].shape[1]
-
-    def batch(
-        self, indices: Tensor | Sequence[int], device: torch.device | None = None
-    ) -> Batch:
-        """Return frames with labels and the recorded instructions.
-
-        Args:
-            indices: Indices of the frames, (B,), in any order.
-            device: Device of the batch; that of the frames if None.
-        """
-        device = device or self.device
-        rows = torch.as_tensor(indices, device=self.device)
-        listed = rows.tolist()
-        # Send heights as 16-bit integers: float32 has twice as many bytes.
-        rgb = _sent(self.rgb.index_select(0, rows), device)
-        height = _sent(self.height.index_select(0, rows), device)
-        coverage = height != 0
-        height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
-        tensors = {name: tensor[rows] for name, tensor in self._tensors.items()}
-        seen: dict[str, Any] = {n: tensors.pop(n) for n in (*_SEEN, "past")}
-        lists = {name: [v[i] for i in listed] for name, v in self._lists.items()}
-        batch = with_sub_instructions(
-            Batch(
-                rgb=rgb,
-                height_m=torch.where(coverage, height_m, 0.0),
-                coverage=coverage,
-                **seen,
-                instructions=[self._instructions[i] for i in listed],
-                sub_instructions=[],
-                raster=self.raster,
-                entities=self.entities,
-                labels=Labels(**tensors, **lists),  # type: ignore[arg-type]
-            )
-        )
-        return _moved(batch, device)
-
-    def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
-        return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
-
-
-def _with_key_poses(columns: dict[str, Any]) -> dict[str, Any]:
-    """Return columns whose pick and place poses are the key poses, if there are any."""
-    if "kind" not in columns:
-        return columns
-    x, y, z, yaw = np.stack(list(columns["key_pose"])).T
-    kinds = [KINDS.index(kind) for kind in columns["kind"]]
-    pose, last = np.stack([x, y, yaw], 1), np.stack([kinds, z], 1)
-    # Other primitives have no number; the kind of key pose distinguishes them.
-    known = [name if name in PRIMITIVES else "move" for name in columns["primitive"]]
-    poses = {"pick_pose": pose, "place_pose": pose, "kind_and_height": last}
-    return {**columns, **poses, "primitive": np.array(known, object)}
 
 
 def batch_of(
@@ -319,18 +144,18 @@ def batch_of(
     )
 
 
-def _moved(batch: Batch, device: torch.device) -> Batch:
+def moved(batch: Batch, device: torch.device) -> Batch:
     """Return a batch with all its tensors on a device."""
 
     def there(part: Any) -> dict[str, Any]:
         values = {f.name: getattr(part, f.name) for f in fields(part)}
-        return {n: _sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
+        return {n: sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
 
     labels = batch.labels and replace(batch.labels, **there(batch.labels))
     return replace(batch, **there(batch), labels=labels)
 
 
-def _sent(tensor: Tensor, device: torch.device) -> Tensor:
+def sent(tensor: Tensor, device: torch.device) -> Tensor:
     """Copy a tensor to a device asynchronously."""
     if tensor.device.type == device.type:
         return tensor
@@ -378,23 +203,3 @@ def decision_numbers(
         entities.number(pick) if pick else NOBODY,
         entities.number(place) if place else NOBODY,
     ]
-
-
-def _decisions(
-    columns: dict[str, Any], entities: EntitySet, prefix: str = ""
-) -> list[list[int]]:
-    return [
-        decision_numbers(
-            {name: columns[prefix + name][i] for name in _DECISION}, entities
-        )
-        for i in range(len(columns["robot"]))
-    ]
-
-
-def _pasts(columns: dict[str, Any], decisions: list[list[int]]) -> Any:
-    past = np.full((len(decisions), MAX_PAST, 4), NOBODY)
-    for i, keyframe in enumerate(columns["keyframe"]):
-        done = decisions[i - int(keyframe) : i][-MAX_PAST:]
-        if done:
-            past[i, : len(done)] = done
-    return past

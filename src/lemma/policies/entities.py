@@ -32,6 +32,8 @@ class EntitySet:
     """Entities by number: first movable ones, then fixed ones, last the stick."""
 
     names: tuple[str, ...]
+    regions: tuple[str, ...] = (SHARED,)
+    """Regions where a sub-task may place; their numbers follow those of entities."""
 
     @classmethod
     def of(cls, names: Iterable[str] = ()) -> "EntitySet":
@@ -84,7 +86,7 @@ class EntitySet:
     @cached_property
     def places(self) -> tuple[str, ...]:
         """Names of the entities and of the region where a sub-task may place."""
-        return (*self.names, SHARED)
+        return (*self.names, *self.regions)
 
     @cached_property
     def colors(self) -> tuple[str, ...]:

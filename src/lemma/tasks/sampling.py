@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.scene.table import Gap
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
-from lemma.tasks.language.bank import say_rule
+from lemma.tasks.language.bank import robot_phrases, say_rule
 from lemma.tasks.language.template import KINDS
 from lemma.tasks.placement import ObjectPlacer, PlacementError
 from lemma.tasks.task import Task
@@ -155,7 +156,8 @@ def _instruct(
     }
     if (rule := goal.rule) is None:
         return said
+    phrases, draw = robot_phrases(robots), partial(stream, *key, "language")
     return {
-        kind: say_rule(rule, kind, what, robots, stream(*key, "language", kind, "rule"))
+        kind: say_rule(rule, kind, what, phrases, draw(kind, "rule"))
         for kind, what in said.items()
     }

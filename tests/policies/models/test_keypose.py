@@ -28,8 +28,9 @@ from lemma.env.control.key_poses import (
 )
 from lemma.env.control.modes import CONTROLS
 from lemma.evaluation.run.control import ControlPlayer
-from lemma.policies.batch import Batch, Frames
+from lemma.policies.batch import Batch
 from lemma.policies.control.oracle import ExpertKeyPoses
+from lemma.policies.frames import Frames
 from lemma.policies.models.keypose import KeyPoseConfig, KeyPoseModel
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import Augmentation

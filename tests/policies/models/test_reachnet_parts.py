@@ -13,7 +13,6 @@ from lemma.policies.entities import BENCHMARK
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
-    goal_numbers,
 )
 from lemma.policies.models.reachnet.grounder import ReachNetGrounder
 from lemma.policies.models.reachnet.planner import (
@@ -30,6 +29,7 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
+from lemma.policies.models.reachnet.understanding import goal_numbers
 from lemma.policies.models.reachnet.utility import (
     SIGNS,
     TRAVELS_M,

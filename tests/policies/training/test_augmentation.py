@@ -16,7 +16,8 @@ from torch import Tensor
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
-from lemma.policies.batch import NOBODY, Batch, Frames
+from lemma.policies.batch import NOBODY, Batch
+from lemma.policies.frames import Frames
 from lemma.policies.training.augmentation import augment, move, permute_colors
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.loader import with_instructions, with_language

@@ -11,7 +11,7 @@ from tiny_model import config
 from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.dataset.instructions import Language
-from lemma.policies.batch import Frames
+from lemma.policies.frames import Frames
 from lemma.policies.text.grammar import grammar
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.words import Vocabulary, _neighbours, neighbours

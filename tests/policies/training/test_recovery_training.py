@@ -13,8 +13,9 @@ from tiny_model import NAME, Tiny, TinyConfig
 from tiny_transformer import tiny
 
 from lemma.core.errors import DatasetError, InvalidConfigError
-from lemma.policies.batch import MAX_PAST, NOBODY, Batch, Frames
+from lemma.policies.batch import MAX_PAST, NOBODY, Batch
 from lemma.policies.entities import BENCHMARK
+from lemma.policies.frames import Frames
 from lemma.policies.models.episodic_transformer import layout_of_batch
 from lemma.policies.training.config import Augmentation, TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup

@@ -18,7 +18,7 @@ from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
-from lemma.policies.batch import Frames
+from lemma.policies.frames import Frames
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.training import loop as loop
 from lemma.policies.training.config import (

@@ -38,6 +38,7 @@ from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import sub_instruction
 from lemma.tasks.subtask import STOP
+from lemma.tasks.task import TASKS
 
 _DECISION = ("robot", "primitive", "pick", "place")
 _NOWHERE = (math.nan,) * 3
@@ -101,7 +102,13 @@ class KeyframeForm:
                 "different tasks for them."
             )
         counts = tuple(_count(record) for record in records)
-        mine = replace(header, robots=max(robots), digests=digests, keyframes=counts)
+        mine = replace(
+            header,
+            robots=max(robots),
+            entities=entities_of(records[0].task),
+            digests=digests,
+            keyframes=counts,
+        )
         headers = [replace(mine, part=part) for part in PARTS]
         rows = (row for record in records for row in self.rows(record))
         write_keyframes(list(zip(paths, headers, strict=True)), rows)
@@ -118,7 +125,7 @@ class KeyframeForm:
         """
         instance = Instance.from_dict(record.instance_data())
         scene = Scene(instance.scene)
-        constant = episode_columns(record, instance)
+        constant, entities = episode_columns(record, instance), entities_of(record.task)
         for keyframe in range(_count(record)):
             _check_state(record, keyframe)
             scene.restore(record.state(keyframe))
@@ -127,7 +134,7 @@ class KeyframeForm:
                 "keyframe": keyframe,
                 "time_s": record.keyframe_time_s[keyframe],
                 **_labels(record, keyframe),
-                "objects": entity_poses(object_poses(scene)),
+                "objects": entity_poses(object_poses(scene), entities),
                 **stored(rig_of(self.width, self.height).look(scene)),
             }
 
@@ -232,13 +239,20 @@ def _labels(record: EpisodeRecord, keyframe: int) -> Row:
     }
 
 
-def entity_poses(poses: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the poses of all entities, (entities, 7); NaN for missing ones.
+def entities_of(task: str) -> tuple[str, ...]:
+    """Return the entities that tables of a task may have."""
+    return known_entities(TASKS[task].kinds if task in TASKS else ())
+
+
+def entity_poses(
+    poses: Mapping[str, FloatArray], entities: tuple[str, ...]
+) -> FloatArray:
+    """Return the poses of entities, (entities, 7); NaN for missing ones.
 
     Args:
         poses: Position [m] and quaternion wxyz by name, (7,) each.
+        entities: Names, in the order of the rows.
     """
-    entities = known_entities()
     found = np.full((len(entities), 7), np.nan)
     for name, pose in poses.items():
         found[entities.index(name)] = pose

@@ -434,9 +434,13 @@ def _save(path: Path, array: NDArray[Any]) -> None:
 
 
 def _by_column(rows: Sequence[Sample]) -> dict[str, NDArray[Any]]:
-    return {
-        name: np.array(
-            [row[name] for row in rows], object if isinstance(value, str) else None
-        )
-        for name, value in rows[0].items()
-    }
+    return {name: _stacked([row[name] for row in rows]) for name in rows[0]}
+
+
+def _stacked(values: Sequence[Any]) -> NDArray[Any]:
+    """Return values as one array; texts and arrays of different shapes as objects."""
+    if not isinstance(values[0], str) and len({np.shape(v) for v in values}) == 1:
+        return np.array(values)
+    found = np.empty(len(values), object)
+    found[:] = values
+    return found

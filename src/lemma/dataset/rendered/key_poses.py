@@ -15,6 +15,7 @@ from lemma.core.seeding import stream
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.capture import (
     KeyframeForm,
+    entities_of,
     entity_poses,
     episode_columns,
     rig_of,
@@ -77,6 +78,7 @@ class KeyPoseForm(KeyframeForm):
         mine = replace(
             header,
             robots=len(records[0].instance_data()["robots"]),
+            entities=entities_of(records[0].task),
             digests=digests,
             keyframes=tuple(map(len, played)),
         )
@@ -150,6 +152,7 @@ class KeyPoseForm(KeyframeForm):
 
     def _row(self, env: ControlEnv, subtask: SubTask, key: KeyPose) -> Row:
         scene = env.episode.simulation.scene
+        entities = entities_of(env.episode.instance.task)
         view = rig_of(self.width, self.height).look(scene)
         names = subtask.to_dict()
         return {
@@ -161,7 +164,7 @@ class KeyPoseForm(KeyframeForm):
             "outcome": "",
             "kind": str(key.kind),
             "key_pose": key.stand,
-            "objects": entity_poses(object_poses(scene)),
+            "objects": entity_poses(object_poses(scene), entities),
             "joints": view.joints,
             "opening_m": view.opening_m,
             "map_rgb": view.rgb,

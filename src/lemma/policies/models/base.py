@@ -40,6 +40,8 @@ class Model(nn.Module, ABC):
     """Whether all tensor shapes in :meth:`loss` follow from the number of frames, so
     that a GPU can run a step as one graph
     (:class:`lemma.policies.training.captured.CapturedStep`)."""
+    of_any_team: ClassVar[bool] = False
+    """Whether batches may have teams of different sizes."""
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and the replacement of
     each."""

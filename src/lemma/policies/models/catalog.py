@@ -6,7 +6,8 @@ from typing import Any
 import lemma.policies.models.cliport.model
 import lemma.policies.models.episodic_transformer
 import lemma.policies.models.keypose
-import lemma.policies.models.reachnet.model  # noqa: F401
+import lemma.policies.models.reachnet.model
+import lemma.policies.models.team_reachnet.model  # noqa: F401
 from lemma.core.arguments import decode
 from lemma.policies.models.base import MODELS, Model
 

@@ -24,6 +24,7 @@ from lemma.scene.objects.palette import OBJECT_COLORS
 from lemma.tasks.language.bank import bank_for, words
 from lemma.tasks.language.slots import SLOT
 from lemma.tasks.language.template import GoalPairs, Template
+from lemma.tasks.names import FAMILIES
 from lemma.tasks.suite import SUITE
 
 T = TypeVar("T")
@@ -101,7 +102,7 @@ def paraphrase(
 
     Args:
         task: Name of the task; its own templates are preferred.
-        goal_pairs: One or two (top, bottom) pairs of entities.
+        goal_pairs: The (top, bottom) pairs of entities.
         rng: Random generator.
         chances: Probabilities of the changes, as :data:`CHANCES`.
         taught: Templates to use; all training templates if empty.
@@ -113,12 +114,16 @@ def paraphrase(
     if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
         return noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
-    if held or rng.random() < chances["native"] or len(goal_pairs) > 2:
+    count = len(goal_pairs)
+    if held or rng.random() < chances["native"]:
         text = _one(_own(task, used), rng).render(goal_pairs)
-    elif len(goal_pairs) == 2 and rng.random() < 0.5:
+    elif count > 2 or (count == 2 and rng.random() < 0.5):
         short = _sentences(1, used, _SHORT)
-        both = [_say(_one(short, rng), (pair,), rng, chances) for pair in goal_pairs]
-        text = both[0].rstrip(".") + _one(_JOINTS, rng) + both[1]
+        text, *more = [
+            _say(_one(short, rng), (pair,), rng, chances) for pair in goal_pairs
+        ]
+        for one in more:
+            text = text.rstrip(".") + _one(_JOINTS, rng) + one
     else:
         fitting = _sentences(len(goal_pairs), used)
         text = _say(_one(fitting, rng), goal_pairs, rng, chances)
@@ -153,7 +158,7 @@ def _ruled(goal_pairs: GoalPairs, rng: np.random.Generator, rules: Grammar) -> s
 def _held_out() -> frozenset[tuple[str, ...]]:
     return frozenset(
         tuple(re.sub(r"[^a-z*' -]", " ", template.wording()).split())
-        for task in SUITE
+        for task in (*SUITE, *FAMILIES)
         for template in bank_for(task).unseen
     )
 

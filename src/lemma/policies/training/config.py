@@ -78,7 +78,7 @@ class TrainingConfig:
     """Options of a training run."""
 
     model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")]
-    """episodic-transformer, cliport, m-cliport, reachnet or keypose."""
+    """episodic-transformer, cliport, m-cliport, reachnet, team-reachnet or keypose."""
     data: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder of keyframes that lemma render --form keyframes wrote; for keypose, --form
     key-poses."""
@@ -242,6 +242,7 @@ DEFAULTS: dict[str, Defaults] = {
     "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
     "keypose": Defaults(samples=300_000, batch_size=64, learning_rate=1e-3),
     "reachnet": Defaults(samples=300_000, batch_size=128, learning_rate=1e-3),
+    "team-reachnet": Defaults(samples=200_000, batch_size=128, learning_rate=1e-3),
 }
 """Defaults by name of the model."""
 

@@ -22,10 +22,13 @@ from torch import Tensor
 
 from lemma.core.seeding import stream
 from lemma.dataset.instructions import draw_instruction
-from lemma.policies.batch import Batch, Frames
+from lemma.policies.batch import Batch
+from lemma.policies.frames import Frames
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
+from lemma.tasks.language.bank import robot_phrases_in_order, say_rule
+from lemma.tasks.teams.rule import rule_from
 
 AHEAD = 3
 """Number of batches to prepare ahead."""
@@ -259,6 +262,11 @@ def with_instructions(
                 text = draw_instruction(
                     task, goal, str(episode), seed=seed, epoch=draw, kinds=kinds
                 )
+            if rule := labels.rules[row]:
+                rng = stream("rule", seed, draw, episode)
+                kind = kinds[int(rng.integers(len(kinds)))]
+                robots = robot_phrases_in_order(labels.robot_colors[row])
+                text = say_rule(rule_from(rule), kind, text, robots, rng)
             drawn[episode] = text
         texts.append(text)
     return replace(batch, instructions=texts)

@@ -120,7 +120,9 @@ class _Run:
         self.model = first_model(config)
         # The benchmark tries all kernels for every new shape, which takes seconds.
         torch.backends.cudnn.benchmark = self.model.of_fixed_shape
-        self.data: Data = read_frames(config, team, self.model.entities)
+        self.data: Data = read_frames(
+            config, team, self.model.entities, mixed=self.model.of_any_team
+        )
         if team.first:
             open_run(config, self.model, self.data.about, command)
         self.trainer = Trainer(self.model, config, team)

@@ -19,8 +19,8 @@ from lemma.dataset.files import MANIFEST, read_manifest
 from lemma.dataset.recipe.schema import executions, perturbed_as
 from lemma.dataset.rendered.dataset import keyframe_shards
 from lemma.dataset.rendered.keyframes import FORM
-from lemma.policies.batch import Frames
 from lemma.policies.entities import BENCHMARK, EntitySet
+from lemma.policies.frames import Frames
 from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model, options_of
 from lemma.policies.training.config import MAY_CHANGE, TrainingConfig, model_options
@@ -116,7 +116,11 @@ def digests_of(about: dict[str, Any], content: dict[str, str]) -> dict[str, str]
 
 
 def read_frames(
-    config: TrainingConfig, team: ProcessGroup, entities: EntitySet = BENCHMARK
+    config: TrainingConfig,
+    team: ProcessGroup,
+    entities: EntitySet = BENCHMARK,
+    *,
+    mixed: bool = False,
 ) -> Data:
     """Read both splits, to the device if they fit.
 
@@ -124,6 +128,7 @@ def read_frames(
         config: Options of the training run.
         team: The process group.
         entities: Entities of the model.
+        mixed: Whether the model learns from teams of different sizes.
 
     Raises:
         DatasetError: Files are missing, damaged or of another version.
@@ -142,7 +147,7 @@ def read_frames(
         for shard in keyframe_shards(folder, split, tasks)
     )
     how = tasks, _place(config, team.device, size), entities
-    read = partial(Frames.load, shared=config.shared_images)
+    read = partial(Frames.load, shared=config.shared_images, mixed=mixed)
     train = read(config.data, config.train_split, *how)
     same = config.val_split == config.train_split
     val = train if same else read(config.data, config.val_split, *how)

@@ -48,7 +48,7 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
             config = replace(config, batch_size=_FEW)
         config = config.resolved(1)
         model = first_model(config)
-        data = read_frames(config, team, model.entities)
+        data = read_frames(config, team, model.entities, mixed=model.of_any_team)
         trainer = Trainer(model, config, team)
         units = training_units(model, data.train, config)
         order = Sampler(len(units), config.batch_size or 1, config.seed)

@@ -14,7 +14,8 @@ from torch.nn.parallel import DistributedDataParallel
 from lemma.core.errors import InvalidConfigError, WeightsError
 from lemma.core.files import write_whole
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch, Frames
+from lemma.policies.batch import Batch
+from lemma.policies.frames import Frames
 from lemma.policies.layers import Network
 from lemma.policies.models.base import Model
 from lemma.policies.training.captured import CapturedStep

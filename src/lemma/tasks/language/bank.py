@@ -147,7 +147,7 @@ def say_rule(
     rule: Rule,
     kind: str,
     goal: str,
-    robots: Sequence[RobotPlacement],
+    robots: Sequence[str],
     rng: np.random.Generator,
 ) -> str:
     """Draw a random sentence that expresses a goal and its rule.
@@ -156,12 +156,12 @@ def say_rule(
         rule: The rule.
         kind: One of :data:`KINDS`.
         goal: The sentence of the goal without the rule.
-        robots: The team.
+        robots: Phrases of the team.
         rng: Random generator; one integer is drawn.
     """
     candidates = rule_templates(rule.kind, kind)
     chosen = candidates[int(rng.integers(len(candidates)))]
-    words = rule.words(robot_phrases(robots))
+    words = rule.words(robots)
     return chosen.format(goal=goal.rstrip(".") + ".", **words)
 
 

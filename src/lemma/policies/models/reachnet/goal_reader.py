@@ -33,7 +33,6 @@ from lemma.policies.text.encoder import (
     groups_of,
 )
 from lemma.policies.text.refusals import REASONS
-from lemma.tasks.language.template import GoalPairs
 
 _MENTIONS = 12
 """Largest number of mentions in a sentence."""
@@ -94,6 +93,21 @@ class Readings(NamedTuple):
     """Index of the most likely reason for refusal, (B,); -1 for an order."""
     refused: Tensor
     """Probability of refusal, (B,)."""
+
+
+class Mentions(NamedTuple):
+    """At most M mentions of entities in each of B sentences.
+
+    ``tokens`` (B, L, width) are those of all words, ``said`` (B, M, width) those of the
+    mentions, ``whole`` (B, width) those of sentences. ``group`` (B, M) is the group of
+    entities that a mention may name, or -1; ``at`` (B, M) is its place in the sentence.
+    """
+
+    said: Tensor
+    group: Tensor
+    at: Tensor
+    tokens: Tensor
+    whole: Tensor
 
 
 class GoalReader(WordEmbedding):
@@ -233,31 +247,39 @@ class GoalReader(WordEmbedding):
             each reason for refusal, (B, 1 + reasons), or None; and the position of each
             entity's first mention, (B, T).
         """
-        tokens, whole = self._encoded(sentences)
+        found = self.mentions(sentences)
         order = None
         if self.order is not None:
-            most = tokens.masked_fill(~sentences.mask.unsqueeze(2), _NEVER).amax(1)
-            order = self.order(torch.cat([whole, most], -1)).float().log_softmax(-1)
-        length = tokens.shape[1]
-        place = torch.arange(length, device=tokens.device)
-        at = torch.where(sentences.names != NO_NAME, place, length)
-        at = at.sort(1).values[:, :_MENTIONS]
-        index = at.clamp(max=length - 1)
-        said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
-        names = torch.where(at < length, sentences.names.gather(1, index), NO_NAME)
-        meant = names[:, :, None] == self.group
-        pairs = self._pairs(said, meant)
-        count = self.count(whole).float().log_softmax(-1)
+            words = sentences.mask.unsqueeze(2)
+            most = found.tokens.masked_fill(~words, _NEVER).amax(1)
+            both = torch.cat([found.whole, most], -1)
+            order = self.order(both).float().log_softmax(-1)
+        meant = found.group[:, :, None] == self.group
+        pairs = self.pairs(found.said, meant)
+        count = self.count(found.whole).float().log_softmax(-1)
         # An extra pair of score 0 is the second pair of goals with a single pair.
         flat = F.pad(pairs.flatten(1), (0, 1))
         one = self.goals[..., 0] == NOBODY
         slots = self.goals[..., 0] * self.targets + self.goals[..., 1]
         slots = torch.where(one, flat.shape[1] - 1, slots)
         size = (~one).sum(-1) - 1
-        first = torch.where(meant, at[:, :, None], length).amin(1)
+        length = found.tokens.shape[1]
+        first = torch.where(meant, found.at[:, :, None], length).amin(1)
         return flat[:, slots].sum(-1) + count[:, size], order, first
 
-    def _pairs(self, said: Tensor, meant: Tensor) -> Tensor:
+    def mentions(self, sentences: Sentences, most: int = _MENTIONS) -> Mentions:
+        """Return the mentions of entities in sentences, at most ``most`` each."""
+        tokens, whole = self._encoded(sentences)
+        length = tokens.shape[1]
+        place = torch.arange(length, device=tokens.device)
+        at = torch.where(sentences.names != NO_NAME, place, length)
+        at = at.sort(1).values[:, :most]
+        index = at.clamp(max=length - 1)
+        said = tokens.gather(1, index[:, :, None].expand(-1, -1, tokens.shape[2]))
+        group = torch.where(at < length, sentences.names.gather(1, index), NO_NAME)
+        return Mentions(said, group, at, tokens, whole)
+
+    def pairs(self, said: Tensor, meant: Tensor) -> Tensor:
         """Return the score of each (top, bottom) pair, (B, C, T).
 
         Args:
@@ -354,30 +376,3 @@ def _goals(cargo: int, targets: int) -> tuple[Tensor, Tensor]:
         slots = [none if t == NOBODY else t * targets + b for t, b in pairs]
         numbers[tuple(sorted(slots))] = number
     return torch.tensor(found), numbers
-
-
-def goal_numbers(
-    goals: Sequence[GoalPairs],
-    device: torch.device,
-    entities: EntitySet = BENCHMARK,
-) -> Tensor:
-    """Return goals as numbers of entities, (B, conjuncts, 2); -1 for none."""
-    none = (NOBODY, NOBODY)
-    numbers = [
-        [
-            *((entities.number(a), entities.number(b)) for a, b in pairs[:CONJUNCTS]),
-            *(none,) * (CONJUNCTS - len(pairs)),
-        ]
-        for pairs in goals
-    ]
-    return torch.tensor(numbers, device=device)
-
-
-def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:
-    """Return a goal by names.
-
-    Args:
-        rows: Numbers of (top, bottom) pairs; -1 for none.
-        names: Names of the entities.
-    """
-    return tuple((names[a], names[b]) for a, b in rows if a != NOBODY)

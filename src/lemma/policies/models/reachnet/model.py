@@ -27,8 +27,6 @@ from lemma.policies.models.base import MODELS, MapConfig, MapModel, subtask_of
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
-    goal_numbers,
-    pairs_of,
 )
 from lemma.policies.models.reachnet.grounder import (
     ReachNetGrounder,
@@ -57,7 +55,13 @@ from lemma.policies.models.reachnet.scene_table import (
     turned,
     turned_numbers,
 )
-from lemma.policies.models.reachnet.understanding import WHY, lesson, understood
+from lemma.policies.models.reachnet.understanding import (
+    WHY,
+    goal_numbers,
+    lesson,
+    pairs_of,
+    understood,
+)
 from lemma.policies.text.encoder import Sentences
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 

@@ -222,7 +222,7 @@ def true_table(
     position, there = labels.objects[..., :3], labels.objects[..., 0].isfinite()
     xyz = torch.where(there.unsqueeze(-1), position, FAR_M)
     top_m = xyz[..., 2] + traits.top_m
-    present = there & ~_covered(xyz, top_m, traits, entities.cargo)
+    present = there & ~covered(xyz, top_m, traits, entities.cargo)
     turned = yaw_of(labels.objects[..., 3:])
     yaw = torch.zeros_like(turned)
     cubes, stick = slice(0, entities.cargo), entities.stick
@@ -243,7 +243,7 @@ def true_table(
     )
 
 
-def _covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
+def covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
     """Return whether a movable entity covers each entity, (B, E) bool."""
     upper = xyz[:, :cargo]
     apart = (xyz[:, :, None, :2] - upper[:, None, :, :2]).norm(dim=-1)

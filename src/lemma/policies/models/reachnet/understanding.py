@@ -7,15 +7,16 @@ import torch
 from torch import Tensor
 
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch
+from lemma.policies.batch import NOBODY, Batch
+from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import Understanding
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     Readings,
-    goal_numbers,
-    pairs_of,
 )
+from lemma.policies.models.reachnet.scene_table import CONJUNCTS
 from lemma.policies.text.refusals import REASONS, refusal_bank
+from lemma.tasks.language.template import GoalPairs
 
 WHY = tuple(REASONS.values())
 """Explanations of refusals by the index of the reason."""
@@ -72,3 +73,30 @@ def understood(
             sure, less = shares
             found.append(Understanding(one, sure, "", refuses, other, less))
     return found
+
+
+def goal_numbers(
+    goals: Sequence[GoalPairs],
+    device: torch.device,
+    entities: EntitySet = BENCHMARK,
+) -> Tensor:
+    """Return goals as numbers of entities, (B, conjuncts, 2); -1 for none."""
+    none = (NOBODY, NOBODY)
+    numbers = [
+        [
+            *((entities.number(a), entities.number(b)) for a, b in pairs[:CONJUNCTS]),
+            *(none,) * (CONJUNCTS - len(pairs)),
+        ]
+        for pairs in goals
+    ]
+    return torch.tensor(numbers, device=device)
+
+
+def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:
+    """Return a goal by names.
+
+    Args:
+        rows: Numbers of (top, bottom) pairs; -1 for none.
+        names: Names of the entities.
+    """
+    return tuple((names[a], names[b]) for a, b in rows if a != NOBODY)

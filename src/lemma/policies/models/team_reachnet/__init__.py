@@ -1,0 +1,1 @@
+"""ReachNet for teams of two to four robots."""

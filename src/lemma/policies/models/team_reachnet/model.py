@@ -1,0 +1,400 @@
+"""Team ReachNet: one network for teams of two to four robots, which plans together.
+
+It looks at the table when all arms are at rest, and reads the sentence. From the scene
+that it sees, it plans all moves until ``stop``, one after another, each in the scene
+that the moves before it will leave behind. Every robot then gets its own moves of the
+plan, as soon as those on which they depend have been ordered. After a failure it waits
+until all arms are at rest, looks again, and orders one move at a time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from lemma.core.arguments import Cost, Depth
+from lemma.core.robot_names import robot_name
+from lemma.env.view import View
+from lemma.planning.schedule import predecessors
+from lemma.policies.batch import (
+    NOBODY,
+    Batch,
+    Labels,
+    decision_numbers,
+)
+from lemma.policies.entities import EntitySet
+from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.layers import constant
+from lemma.policies.models.base import MODELS, MapConfig, MapModel
+from lemma.policies.models.reachnet.goal_reader import ReaderConfig
+from lemma.policies.models.reachnet.perception import (
+    Perception,
+    PerceptionConfig,
+    reach_loss,
+)
+from lemma.policies.models.reachnet.scene_table import FAR_M, Noise, SceneTable
+from lemma.policies.models.reachnet.scene_table import true_table as true_scene
+from lemma.policies.models.team_reachnet.planner import (
+    TeamPlanner,
+    TeamPlannerConfig,
+    move_of,
+    number_of,
+)
+from lemma.policies.models.team_reachnet.reader import (
+    Reading,
+    TeamReader,
+    Wanted,
+    order_of_parts,
+    wanted_of,
+)
+from lemma.policies.models.team_reachnet.table import (
+    REGIONS,
+    ROBOTS,
+    TeamTable,
+    by_color,
+    distinct,
+    move_numbers,
+    numbers_by_color,
+    region_name,
+    remembered,
+    team_table,
+    true_table,
+    weak_hands,
+)
+from lemma.policies.text.encoder import Sentences
+from lemma.policies.together.interfaces import Orders, TeamInput
+from lemma.scene.spec import ROBOT_COLORS
+from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.teams.rule import Rule
+
+_REACH_POINTS = 128
+_LOUDEST = 25.0
+_LONGEST = 16
+"""Largest number of moves in a plan."""
+_MOST_FAILURES = 6
+_SUCCESS = "success"
+
+
+@dataclass(frozen=True)
+class TeamReachNetConfig(MapConfig):
+    """Options of the team's ReachNet."""
+
+    entities: tuple[str, ...] = ()
+    """Names of its entities; all registered ones if empty."""
+    eye: PerceptionConfig = field(default_factory=PerceptionConfig)
+    """Options of perception."""
+    reader: ReaderConfig = field(default_factory=lambda: ReaderConfig(refuses=False))
+    """Options of the reader; it cannot refuse."""
+    planner: TeamPlannerConfig = field(default_factory=TeamPlannerConfig)
+    """Options of the planner."""
+    noise: Noise = field(default_factory=Noise)
+    """Noise of scenes from labels."""
+    draws: Depth = 3
+    """Number of scenes from the labels of each frame, each turned by any angle."""
+    failure_cost: Cost = 4.0
+    """Decrease of a move's log-probability for each failure since the last success."""
+
+
+class Scene(NamedTuple):
+    """B scenes as the policy knows them, with the readings of their sentences."""
+
+    table: TeamTable
+    read: Reading
+
+
+class TeamReachNet(MapModel):
+    """Plans moves of cubes for a team, from a map, joints and an instruction."""
+
+    selection = "decision"
+    reads_outcomes = True
+    of_fixed_shape = True
+    of_any_team = True
+
+    def __init__(self, config: TeamReachNetConfig | None = None) -> None:
+        """Make the weights.
+
+        Args:
+            config: Options; the defaults if None.
+        """
+        super().__init__()
+        config = config or TeamReachNetConfig()
+        named = EntitySet.of(config.entities)
+        self.config = replace(config, entities=named.names)
+        self.eye = Perception(config.eye, ROBOTS, named)
+        self.reader = TeamReader(config.reader, named)
+        self.planner = TeamPlanner(config.planner)
+        self._seen: WeakKeyDictionary[View, SceneTable] = WeakKeyDictionary()
+
+    @property
+    def entities(self) -> EntitySet:
+        """Its entities, and the regions of all pairs."""
+        return EntitySet(self.config.entities, REGIONS)
+
+    def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
+        """Return words, goals, moves and teams as numbers."""
+        labels, device = batch.labels, self.device
+        assert labels is not None
+        teams = [distinct(colors) for colors in labels.robot_colors]
+        entities = batch.entities
+        wanted = wanted_of(labels.goals, labels.rules, teams, entities, device)
+        words = self.reader.sentences.read(batch.instructions, device)
+        moves = [
+            move_numbers(decision, team, entities)
+            for decision, team in zip(labels.decision.tolist(), teams, strict=True)
+        ]
+        return {
+            "words": torch.stack(words),
+            **{f"wanted_{name}": tensor for name, tensor in wanted._asdict().items()},
+            "move": torch.tensor(moves, device=device),
+            "robot": numbers_by_color(teams, device),
+            "weak": weak_hands(labels.hands, teams, device),
+        }
+
+    def loss(self, batch: Batch) -> dict[str, Tensor]:
+        """Return the terms of the loss."""
+        tensors = batch.text_tensors or self.text_tensors(batch)
+        batch, labels = _colored(batch, tensors["robot"])
+        assert labels is not None
+        marks, coarse = self.eye(batch)
+        wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
+        team, weak = tensors["robot"] >= 0, tensors["weak"]
+        there = labels.objects[..., 0].isfinite()
+        read = self.reader.understand(Sentences(*tensors["words"]), there)
+        terms = self.reader.reading_loss(read, wanted)
+        with torch.autocast(self.device.type, enabled=False):
+            seen = self.eye.reach(coarse, batch, labels.bases[..., :2])
+            known = torch.where(
+                team[..., None], self._radii(labels.arms), seen.detach()
+            )
+            scene = true_scene(labels, seen, batch.raster, batch.entities)
+            terms |= self.eye.losses(marks, scene, batch)
+            terms["reach"] = self._reach_loss(scene, known, batch)
+            truth = true_table(
+                labels.objects, labels.bases, known, team, weak, batch.entities
+            )
+            with torch.no_grad():
+                found = self.eye.table(marks, coarse, batch)
+                perceived = remembered(team_table(found, team, weak), truth)
+            terms["plan"] = self._plan_loss(
+                truth, perceived, read, wanted, tensors["move"]
+            )
+        return terms
+
+    def _radii(self, arms: Tensor) -> Tensor:
+        """Return the true radii of arms, (B, R, 3) [m]."""
+        # A late import, because inference does not need the simulator.
+        from lemma.robots.reach import reach_of  # noqa: PLC0415
+        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
+
+        found = [reach_of(name) for name in ARMS]
+        radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
+        return constant(radii, self.device)[arms]
+
+    def _reach_loss(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
+        sides = constant((batch.raster.columns, batch.raster.rows), self.device)
+        share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
+        points = share * sides * (batch.raster.cell_m / 2)
+        return reach_loss(scene, known, scene.bases, points)
+
+    def _plan_loss(
+        self,
+        truth: TeamTable,
+        seen: TeamTable,
+        read: Reading,
+        wanted: Wanted,
+        move: Tensor,
+    ) -> Tensor:
+        """Return the planner's loss in noisy true scenes and in perceived ones."""
+        said = wanted.shares(truth.entities.stick)
+        drawn = []
+        for _ in range(self.config.draws):
+            angle = torch.rand(len(truth), device=self.device) * 2 * torch.pi
+            drawn.append(truth.turned(angle).disturbed(self.config.noise))
+        tables = seen
+        for one in drawn:
+            tables = tables.joined(one)
+        shares = [Reading(*(part.detach() for part in read.shares()))]
+        shares += [said] * self.config.draws
+        goals = Reading(*(torch.cat(parts) for parts in zip(*shares, strict=True)))
+        scores = self.planner(tables, goals)
+        cargo, targets = truth.entities.cargo, truth.entities.stick
+        number = number_of(move, cargo, targets)
+        wrong = F.cross_entropy(
+            scores, number.repeat(1 + self.config.draws), reduction="none"
+        ).clamp(max=_LOUDEST)
+        # Only perceived frames in which the entities of the move are seen.
+        named = move[:, 1:].clamp(0, len(truth.entities) - 1)
+        asked = (move[:, 1:] >= 0) & (move[:, 1:] < len(truth.entities))
+        counts = (seen.there.gather(1, named) | ~asked).all(1)
+        able = torch.cat([counts, *[torch.ones_like(counts)] * self.config.draws])
+        return torch.where(able, wrong, 0.0).sum() / able.sum().clamp(min=1)
+
+    def score(self, batch: Batch) -> dict[str, Tensor]:
+        """Return scores of decisions and readings, (B,) each."""
+        tensors = self.text_tensors(batch)
+        batch, labels = _colored(batch, tensors["robot"])
+        assert labels is not None
+        wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
+        with self.deciding(), torch.autocast(self.device.type, enabled=False):
+            there = labels.objects[..., 0].isfinite()
+            read = self.reader.understand(Sentences(*tensors["words"]), there)
+            team, weak = tensors["robot"] >= 0, tensors["weak"]
+            truth = true_table(
+                labels.objects,
+                labels.bases,
+                self._radii(labels.arms),
+                team,
+                weak,
+                batch.entities,
+            )
+            seen = remembered(team_table(self.eye.see(batch), team, weak), truth)
+            cargo, targets = truth.entities.cargo, truth.entities.stick
+            number = number_of(tensors["move"], cargo, targets)
+            shares = read.shares()
+            chosen = self.planner(seen, shares).argmax(1)
+            told = self.planner(truth, wanted.shares(targets)).argmax(1)
+            bottoms = shares.bottoms.argmax(-1)
+            bottoms = torch.where(bottoms == targets, NOBODY, bottoms)
+            right = (bottoms == wanted.bottoms).all(1)
+            return {
+                "decision": (chosen == number).float(),
+                "planned": (told == number).float(),
+                "reading": right.float(),
+                "rule": (shares.rule.argmax(-1) == wanted.rule).float(),
+            }
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[Orders]:
+        """Return orders for the free robots of each episode."""
+        return [self._orders(team_input) for team_input in inputs]
+
+    def plan(self, inputs: Sequence[PolicyInput]) -> list[SubTask]:
+        """Return the next sub-task of each episode, with all arms at rest."""
+        return [self._planned(one, one.view, 1)[0][0] for one in inputs]
+
+    def _orders(self, given: TeamInput) -> Orders:
+        """Return orders for one episode."""
+        failed = any(step.outcome != _SUCCESS for step in given.past)
+        if failed or not given.past:
+            if given.doing:
+                return Orders()
+            if failed:
+                return Orders((Decision(self.plan([given])[0], None),))
+        first = given.past[0].view if given.past else given.view
+        plan, rule = self._planned(given, first, _LONGEST)
+        steps = [step for step in plan if step != STOP]
+        begun = [step.subtask for step in given.past]
+        begun += [doing.subtask for doing in given.doing.values()]
+        todo = list(range(len(steps)))
+        for subtask in begun:
+            known = next((k for k in todo if steps[k] == subtask), None)
+            if known is not None:
+                todo.remove(known)
+        if not todo:
+            return Orders() if given.doing else Orders((Decision(STOP, None),))
+        orders, waiting = list[Decision](), set(todo)
+        needs = predecessors(steps, REGIONS, rule)
+        free = set(given.free)
+        for k in todo:
+            robot = steps[k].robot
+            if robot in free and not waiting & needs[k].keys():
+                orders.append(Decision(steps[k], None))
+                waiting.remove(k)
+            free.discard(robot)
+        return Orders(tuple(orders))
+
+    def _planned(
+        self, given: PolicyInput, view: View, most: int
+    ) -> tuple[list[SubTask], Rule | None]:
+        """Return a plan from a view with all arms at rest, and the rule of the goal.
+
+        Args:
+            given: Input, whose first view shows the table at the beginning.
+            view: The view to plan from.
+            most: Largest number of sub-tasks; the last one may be ``stop``.
+        """
+        team = distinct([name.split()[-2] for name in given.robots])
+        with self.deciding():
+            scene = self._look(given, view, team)
+            table, read = scene
+            cargo, targets = self.entities.cargo, self.entities.stick
+            steps: list[SubTask] = []
+            cost = self._costs(given, team)
+            while len(steps) < most and (not steps or steps[-1] != STOP):
+                scores = self.planner(table, read).log_softmax(-1) - cost
+                move = move_of(scores.argmax(1), cargo, targets)
+                steps.append(self._subtask(move[0].tolist(), team))
+                table = table.moved(move[:, 1], move[:, 2])
+        return steps, order_of_parts(read, self.entities)
+
+    def _look(self, given: PolicyInput, view: View, team: tuple[str, ...]) -> Scene:
+        """Return what is seen in a view, and what the instruction says."""
+        first = given.past[0].view if given.past else given.view
+        there = numbers_by_color([team], self.device) >= 0
+        weak = weak_hands([given.hands], [team], self.device)
+        tables = [
+            team_table(self._scene(replace(given, view=one), team), there, weak)
+            for one in (first, view)
+        ]
+        table = remembered(tables[1], tables[0])
+        words = self.reader.sentences.read([given.instruction], self.device)
+        read = self.reader.understand(words, tables[0].there | tables[1].there)
+        return Scene(table, read.shares())
+
+    def _scene(self, given: PolicyInput, team: tuple[str, ...]) -> SceneTable:
+        found = self._seen.get(given.view)
+        if found is None:
+            (batch,) = self.batches([given.with_past(())])
+            batch, _ = _colored(batch, numbers_by_color([team], self.device))
+            found = self._seen[given.view] = self.eye.see(batch)
+        return found
+
+    def _costs(self, given: PolicyInput, team: tuple[str, ...]) -> Tensor:
+        """Return what to subtract from scores of moves that have failed."""
+        entities = self.entities
+        cargo, targets = entities.cargo, entities.stick
+        costs = torch.zeros(ROBOTS * cargo * (targets + len(REGIONS)) + 1)
+        failures = 0
+        for step in reversed(given.past):
+            if step.outcome == _SUCCESS:
+                break
+            failures += 1
+            if step.subtask.primitive == Primitive.MOVE:
+                numbers = decision_numbers(step.subtask.to_dict(), entities)
+                move = torch.tensor([move_numbers(numbers, team, entities)])
+                costs[number_of(move, cargo, targets)] += self.config.failure_cost
+        if failures >= _MOST_FAILURES:
+            costs[:-1] += _LOUDEST * _LOUDEST
+        return costs.to(self.device)
+
+    def _subtask(self, move: Sequence[int], team: tuple[str, ...]) -> SubTask:
+        robot, pick, place = move
+        if robot < 0:
+            return STOP
+        names = self.entities.names
+        region = place - len(names)
+        where = names[place] if region < 0 else region_name(region, team)
+        who = robot_name(team.index(ROBOT_COLORS[robot]))
+        return SubTask(who, Primitive.MOVE, names[pick], where)
+
+
+def _colored(batch: Batch, numbers: Tensor) -> tuple[Batch, Labels | None]:
+    """Return a batch with rows of robots by color, and its labels.
+
+    Args:
+        batch: Rows in the order of the team.
+        numbers: From :func:`numbers_by_color`.
+    """
+    labels = batch.labels and replace(
+        batch.labels,
+        bases=by_color(batch.labels.bases, numbers, FAR_M),
+        arms=by_color(batch.labels.arms, numbers).long(),
+    )
+    joints = by_color(batch.joints, numbers)
+    return replace(batch, joints=joints, labels=labels), labels
+
+
+MODELS.add("team-reachnet", (TeamReachNet, TeamReachNetConfig))
