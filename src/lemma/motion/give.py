@@ -140,14 +140,15 @@ def _take(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
     yield from joint.meet(name, scene)
     moves.check_held()
     hand = arm.tcp_pose()
-    yaw = math.atan2(hand[1, 0], hand[0, 0])
-    held = scene.pose2(thing).inverse() @ Pose2(*hand[:2, 3].tolist(), yaw)
-    below_m = float(hand[2, 3]) - _end_m(runner, joint, held)
-    yield from _put_down(runner, arm, joint, joint.end @ held, below_m)
+    x, y, z = hand[:3, 3].tolist()
+    now = Pose2(x, y, math.atan2(hand[1, 0], hand[0, 0]))
+    held = scene.pose2(thing).inverse() @ now
+    above_m = z - _end_m(runner, joint, held)
+    yield from _put_down(runner, arm, joint, joint.end @ held, above_m)
 
 
 def _put_down(
-    runner: "SkillRunner", arm: ArmMotion, joint: Joint, at: Pose2, below_m: float
+    runner: "SkillRunner", arm: ArmMotion, joint: Joint, at: Pose2, above_m: float
 ) -> Motion:
     """Put the held thing down, with the hand at a pose, and rise.
 
@@ -156,10 +157,10 @@ def _put_down(
         arm: Of the robot that holds it.
         joint: The sub-task.
         at: Of the hand at the end.
-        below_m: Height of the hand above the middle of the thing's thickness [m].
+        above_m: Height of the hand above the axis of the thing where it holds it [m].
     """
     moves, kind = Moves(arm), kind_of(joint.thing)
-    low_m = _support_m(runner, joint) + kind.origin_m + below_m - _PRESS_M
+    low_m = _support_m(runner, joint) + kind.origin_m + above_m - _PRESS_M
     put = _stand(at, low_m)
     over = _stand(at, max(low_m, TRAVEL_HEIGHT_M))
     for stand in (put, over):
