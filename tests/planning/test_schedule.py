@@ -35,7 +35,8 @@ def test_frozen_schedules_can_be_carried_out(task: str) -> None:
     path = found.critical_path()
     assert found.starts[path[0]] == 0
     assert found.at(path[-1], 3) == round(100 * found.makespan_s)
-    assert found.makespan_s < found.sequential_s
+    is_shorter = found.makespan_s < found.sequential_s
+    assert is_shorter == (len(found.jobs) > 1)
 
 
 @pytest.mark.parametrize("task", slow_but(("tower", "stack2", "sort"), "stack2"))

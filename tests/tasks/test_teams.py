@@ -24,6 +24,7 @@ from lemma.robots.could import could_of
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_RADIUS_M
 from lemma.scene.objects.plank import PLANK_LENGTH_M
+from lemma.scene.objects.tray import HANDLE_GRASP_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal, On
@@ -31,7 +32,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.names import FAMILIES
 from lemma.tasks.rules import problems
 from lemma.tasks.suite import TASKS, load_instance
-from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.teams.coalitions import HANDLE_DISC_M, needed
 from lemma.tasks.teams.layouts import LAYOUTS
 from lemma.tasks.zones import Territory
 
@@ -121,12 +122,20 @@ def test_whoever_could_be_done_without_is_found() -> None:
     assert 1 not in needed(Territory(closer), (start, far, *row), goal)
 
 
-def could(robot: RobotPlacement, placed: ObjectPlacement) -> bool:
+def could(robot: RobotPlacement, kind: str, at: Pose2) -> bool:
     """Whether a robot could touch a thing or put another on it, by the bound alone."""
-    reach, away = could_of(robot.arm), robot.base.distance(placed.pose)
+    reach, away = could_of(robot.arm), robot.base.distance(at)
     cube_m = math.sqrt(0.5) * CUBE_EDGE_M
     sizes = {"cube": cube_m, "pad": PAD_RADIUS_M, "plank": 0.5 * PLANK_LENGTH_M}
-    return away - sizes[placed.kind] < max(reach.touch_m, reach.place_m)
+    size_m = sizes.get(kind, HANDLE_DISC_M)
+    return away - size_m < max(reach.touch_m, reach.place_m)
+
+
+def spots(placed: ObjectPlacement) -> list[Pose2]:
+    """Where a thing has to be held: at its middle, or at both ends of a tray."""
+    if placed.kind not in ("tray", "rack"):
+        return [placed.pose]
+    return [placed.pose @ Pose2(side * HANDLE_GRASP_M, 0.0) for side in (-1, 1)]
 
 
 def may_act(instance: Instance) -> list[str]:
@@ -144,8 +153,10 @@ def test_nobody_can_be_done_without(task: str) -> None:
         scene, goal = instance.scene, instance.goal
         team = [scene.robot_names.index(name) for name in may_act(instance)]
         who = {
-            name: [i for i in team if could(scene.robots[i], scene.placement(name))]
+            (name, at): [i for i in team if could(scene.robots[i], placed.kind, at)]
             for name in goal.entities
+            for placed in [scene.placement(name)]
+            for at in spots(placed)
         }
         carry = [
             [i for i in team if not scene.robots[i].overload("", scene.placement(top))]
@@ -179,7 +190,9 @@ def test_no_coalition_has_a_plan(task: str) -> None:
 def test_tables_are_those_that_the_sampler_sets(task: str) -> None:
     record = TASKS[task]
     tables = [load_instance(task, "test", index) for index in range(60)]
-    assert {tuple(r.arm for r in one.scene.robots) for one in tables} == {*record.teams}
+    teams = {tuple(r.arm for r in one.scene.robots) for one in tables}
+    both_ways = LAYOUTS[record.layout].size == 2
+    assert teams == {*record.teams, *(t[::-1] for t in record.teams if both_ways)}
     counts = {len(one.distractors) for one in tables}
     assert counts == set(range(record.distractors[0], record.distractors[1] + 1))
     for one in tables[:3]:

@@ -18,7 +18,7 @@ def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
 
     Args:
         suite: lemma: the eight tasks of the paper; ladder: easier tasks; teams: tasks
-            for three and four robots.
+            for two to four robots.
         as_json: Print a JSON list instead of a table.
     """
     own = (name for name in TASKS if name not in (*LISTED, *UNLISTED))

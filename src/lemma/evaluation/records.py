@@ -87,7 +87,7 @@ class Feedback(Strict):
     """Whether the robot can do it now; None if no robot can."""
     pick_error_mm: float | None
     """Distance of the pick from the center of its cube; None for the stick, which has
-    grasps along its handle, and for what two robots hold."""
+    grasps along its handle, and for what has two handles."""
     place_error_mm: float | None
     """Distance of a ``move``'s place from the center of its pad or cube; None for the
     shared region and for tools, without a single right place."""

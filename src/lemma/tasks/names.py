@@ -41,9 +41,10 @@ FAMILIES = (
     "exchange",
     "strong",
     "bridge",
+    "carry",
 )
-"""The families of the suite ``teams``, for three and four robots."""
-UNLISTED = ("carry", "give")
+"""The families of the suite ``teams``, for two to four robots."""
+UNLISTED = ("give",)
 """Families without frozen lists, which are in no suite."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""

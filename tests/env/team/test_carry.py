@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 
 import lemma
-from lemma.core.errors import InvalidActionError
+from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.dataset.recipe.record import record_episode
 from lemma.dataset.recipe.replay import replay
@@ -18,6 +18,7 @@ from lemma.expert.together import solve_together
 from lemma.motion.moves import Motion, Moves
 from lemma.motion.outcome import Outcome, SkillFailure
 from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
+from lemma.planning.pddl import to_pddl
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import in_order, pose_jobs
 from lemma.planning.symbolic_state import SymbolicState
@@ -198,6 +199,13 @@ def test_one_hand_cannot_hold_it_and_one_robot_has_no_plan() -> None:
     schedule = in_order(jobs, (0,))
     assert set(schedule.team(0)) == set(found.scene.robot_names)
     assert len(schedule.stays(0)) == 4
+
+
+def test_a_tray_cannot_be_told_in_pddl() -> None:
+    found = instance()
+    now = SymbolicState.observe(Scene(found.scene))
+    with pytest.raises(InvalidConfigError, match="a tray"):
+        to_pddl("carry", now, found.goal, GeometricGrounder(found.scene))
 
 
 def test_each_robot_is_needed() -> None:

@@ -12,6 +12,7 @@ import lemma
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Serial
 from lemma.env.episode import Episode
+from lemma.evaluation.analysis.team_scores import team_scores
 from lemma.evaluation.lines import read_rows, write_rows
 from lemma.evaluation.records import EPISODES, Row
 from lemma.evaluation.run.config import EvaluationConfig, acting_by_default
@@ -120,6 +121,22 @@ def test_turns_within_a_team_are_turns(tmp_path: Path) -> None:
     assert row["state_sha256"] == turns["state_sha256"]
     assert row["elapsed_s"] == turns["elapsed_s"]
     assert row["together"]["parallel_s"] == 0.0
+
+
+@pytest.mark.slow
+def test_a_turn_of_two_robots_keeps_both_busy(tmp_path: Path) -> None:
+    config = EvaluationConfig(
+        out=tmp_path, policy=PolicySpec("oracle"), tasks=("carry",), episodes=1
+    )
+    (row,) = evaluate(config, Serial())
+    (step,) = row["subtasks"]
+    assert "together" not in row
+    assert {step["robot"], step["partner"]} == {"robot_0", "robot_1"}
+    assert step["expert"]["pick_error_mm"] is None
+    (scores,) = team_scores([row])
+    assert scores.concurrency == pytest.approx(2.0)
+    assert sum(scores.idle.values()) == pytest.approx(0.0)
+    assert not verify(tmp_path / EPISODES, Serial()).problems
 
 
 class Ordering(TeamPolicy):

@@ -17,7 +17,7 @@ from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision
-from lemma.scene.objects.entity import STICK
+from lemma.scene.objects.entity import STICK, is_carried
 from lemma.tasks.subtask import JOINT, STOP, Primitive, SubTask
 
 
@@ -51,7 +51,8 @@ def advise(
     deviates = deviation(subtask, plan or ())
     pick = place = None
     if decision.grounded is not None:
-        joint = subtask.primitive in JOINT
+        held = subtask.pick is not None and is_carried(subtask.pick)
+        joint = held or subtask.primitive in JOINT
         if subtask.pick in now.poses and subtask.pick != STICK and not joint:
             pick = decision.grounded.pick.distance(now.poses[subtask.pick])
         if subtask.primitive is Primitive.MOVE and subtask.place in now.poses:

@@ -67,10 +67,12 @@ class StepRecord:
     """The expert's judgement of it."""
     fell: tuple[str, ...] = ()
     """Names of the objects that fell off the table during it."""
+    partner: str = ""
+    """The second robot of a joint sub-task; empty for other sub-tasks."""
 
     def fields(self) -> dict[str, Any]:
         """Return further fields of its record in the line."""
-        return {}
+        return {"partner": self.partner} if self.partner else {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,13 +275,15 @@ class Rollout:
         start = episode.elapsed_s
         advice = advise(episode, decision)
         lost = episode.fallen
+        partner = ""
         if decision.grounded is None:
             result = refuse(episode, decision)
         else:
+            partner = episode.simulation.partner_of(decision.grounded)
             result = episode.execute(decision.grounded)
         fell = tuple(name for name in episode.fallen if name not in lost)
         step = StepRecord(
-            decision.subtask, decision.grounded, result, start, advice, fell
+            decision.subtask, decision.grounded, result, start, advice, fell, partner
         )
         self.steps.append(step)
         if result.refused and self.protective_stop is None:
@@ -287,13 +291,9 @@ class Rollout:
                 self.verdict(), success=False, failure=PROTECTIVE_STOP
             )
         episode.linger(start, REFUSAL_S if result.refused else LEAST_STEP_S)
+        why = "" if result.ok else result.explanation
         self.past.append(
-            PastStep(
-                policy_input.view,
-                decision.subtask,
-                str(result.outcome),
-                "" if result.ok else result.explanation,
-            )
+            PastStep(policy_input.view, decision.subtask, str(result.outcome), why)
         )
         return step
 

@@ -60,14 +60,13 @@ class TeamStep(StepRecord):
     """Time of waiting for a sector [s]."""
     effect_s: float | None = None
     """Time at which its effect was first observed [s]."""
-    partner: str = ""
-    """The second robot of a joint sub-task; empty for other sub-tasks."""
 
     def fields(self) -> dict[str, Any]:
         """Return further fields of its record in the line."""
         effect_s = None if self.effect_s is None else round(self.effect_s, 3)
-        partner = {"partner": self.partner} if self.partner else {}
-        return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s, **partner}
+        # Without super(): classes with slots are made anew.
+        also = StepRecord.fields(self)
+        return {"waited_s": round(self.waited_s, 3), "effect_s": effect_s, **also}
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,9 +228,9 @@ class TeamRollout(Rollout):
                 done.start_s,
                 note.advice,
                 tuple(name for name in lost if name not in note.fallen),
+                done.partner,
                 self._waited_s(done.robot) - note.waited_s,
                 done.effect_s,
-                done.partner,
             )
             why = "" if result.ok else result.explanation
             self.steps.append(step)

@@ -1,4 +1,4 @@
-"""The families of the suite ``teams``: tasks for three and four robots."""
+"""The families of the suite ``teams``: tasks of several robots."""
 
 from lemma.core.robot_names import robot_name
 from lemma.scene.objects.entity import entity_named
