@@ -4,7 +4,6 @@ from typing import Any
 
 from lemma.cli.options import JsonFlag, SuiteName, print_json, print_table
 from lemma.scene.objects.entity import STICK
-from lemma.tasks.names import UNLISTED
 from lemma.tasks.suite import LISTED, SUITES, TASKS, default_split, load_instance
 
 _HEADER = (
@@ -21,8 +20,8 @@ def tasks(suite: SuiteName = "lemma", as_json: JsonFlag = False) -> int:
             for two to four robots.
         as_json: Print a JSON list instead of a table.
     """
-    own = (name for name in TASKS if name not in (*LISTED, *UNLISTED))
-    names = (*SUITES[suite], *(UNLISTED if suite == "teams" else ()), *own)
+    own = (name for name in TASKS if name not in LISTED)
+    names = (*SUITES[suite], *own)
     records = [describe(name) for name in names]
     if as_json:
         print_json(records)

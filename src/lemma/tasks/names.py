@@ -42,10 +42,9 @@ FAMILIES = (
     "strong",
     "bridge",
     "carry",
+    "give",
 )
 """The families of the suite ``teams``, for two to four robots."""
-UNLISTED = ("give",)
-"""Families without frozen lists, which are in no suite."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}
 """The tasks of each suite, by name of the suite."""
 LISTED = tuple(dict.fromkeys(task for suite in SUITES.values() for task in suite))
