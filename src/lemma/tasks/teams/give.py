@@ -5,6 +5,8 @@ could touch a rod on the other one's table top. Both hands get to either end of 
 that is held out over the gap.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lemma.core.poses import FloatArray, Pose2
@@ -40,17 +42,30 @@ def arrange_give(placer: ObjectPlacer) -> Goal:
 
 
 def _at_an_end(placer: ObjectPlacer, giver: int) -> Zone:
-    """Where the giver works at one end of a rod, and no other robot could touch it."""
+    """Where the giver works at one end of a rod, and no other robot could touch it.
+
+    Both ends are in view of a camera and on the map.
+    """
     assert ROD.ends is not None
-    ends, only = ROD.ends, placer.only(giver)
+    half_m, only = 0.5 * ROD_LENGTH_M, placer.only(giver)
+    grips = [grasp.at for grasp in ROD.ends]
+    tips = [Pose2(-half_m, 0.0), Pose2(half_m, 0.0)]
 
     def sift(kind: ObjectKind, x: FloatArray, y: FloatArray) -> Mask:
         return only.sift(kind, x, y)
 
     def check(pose: Pose2) -> bool:
-        hands = [pose @ grasp.at for grasp in ends]
-        x, y = (np.array([getattr(at, axis) for at in hands]) for axis in ("x", "y"))
-        return bool(placer.territory.works(giver, x, y).any())
+        works = placer.territory.works(giver, *_places(pose, grips)).any()
+        return bool(works and placer.territory.in_view(*_places(pose, tips)).all())
 
-    says = "where the {%d} works at one end, and no other robot could do anything"
+    says = (
+        "in view and where the {%d} works at one end, and no other robot could do "
+        "anything"
+    )
     return Zone(sift, check, only.barred, says=says % giver)
+
+
+def _places(pose: Pose2, local: Sequence[Pose2]) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of points of a rod, (n,) each [m]."""
+    x, y = zip(*((pose @ at).xy for at in local), strict=True)
+    return np.array(x), np.array(y)
