@@ -23,12 +23,6 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
 from lemma.scene.objects.pad import PAD_RADIUS_M
 from lemma.scene.objects.stick import HANDLE_LENGTH_M, HOOK_LENGTH_M, STICK_SECTION_M
-from lemma.scene.objects.tray import (
-    HANDLE_GRASP_M,
-    HANDLE_WIDTH_M,
-    PLATE_LENGTH_M,
-    TRAY_LENGTH_M,
-)
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import ObjectPlacement, RobotPlacement
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
@@ -57,10 +51,8 @@ def boxes(placed: ObjectPlacement) -> list[Box]:
     """Outline of the stick, or of what is made of boxes."""
     half = STICK_SECTION_M / 2
     if placed.kind != "stick":
-        return [
-            (placed.pose @ Pose2(*part.position_m[:2]), *part.size_m[:2])
-            for part in placed.entity.kind.parts
-        ]
+        parts = placed.entity.kind.parts
+        return [(placed.pose @ Pose2(*p.position_m[:2]), *p.size_m[:2]) for p in parts]
     hook_u, hook_v = HANDLE_LENGTH_M - half, HOOK_LENGTH_M / 2 - half
     return [
         (placed.pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0), HANDLE_LENGTH_M / 2, half),
@@ -202,28 +194,9 @@ def able(instance: Instance, name: str) -> list[int]:
 def test_each_robot_either_works_with_a_thing_or_could_not_touch_it(task: str) -> None:
     for instance in of_test_split(task):
         for placed in on_the_table(instance):
-            if placed.kind in ("tray", "rack"):
-                assert sorted(ends_of(instance, placed)) == [0, 1]
-            else:
+            # Of trays and racks, tests of carry say the same about both handles.
+            if placed.kind not in ("tray", "rack"):
                 able(instance, placed.name)
-
-
-def ends_of(instance: Instance, placed: ObjectPlacement) -> list[int]:
-    """The only robot that works at each handle; fails where another could touch it."""
-    found = []
-    for side in (-1, 1):
-        handle = placed.pose @ Pose2(side * HANDLE_GRASP_M, 0.0)
-        (robot,) = (i for i, r in enumerate(instance.scene.robots) if works(r, handle))
-        found.append(robot)
-        other = instance.scene.robots[1 - robot]
-        rim = [
-            placed.pose @ Pose2(side * along, across)
-            for along in (PLATE_LENGTH_M / 2, TRAY_LENGTH_M / 2)
-            for across in (-HANDLE_WIDTH_M / 2, HANDLE_WIDTH_M / 2)
-        ]
-        nearest = min(other.base.distance(point) for point in rim)
-        assert nearest > could_of(other.arm).touch_m + 0.029, instance.key
-    return found
 
 
 @pytest.mark.parametrize("task", SUITE)
@@ -414,15 +387,6 @@ def test_a_task_that_no_table_satisfies_says_so() -> None:
     assert "'impossible'" in message
     assert "ur5+ur10" in message
     assert "Loosen" in message
-
-
-def test_poses_are_written_without_loss() -> None:
-    """Rounded to 0.1 mm when drawn, so that lists are short and exact."""
-    for instance in of_test_split("hook_stack"):
-        for placed in instance.scene.objects:
-            assert placed.pose == placed.pose.rounded()
-        for robot in instance.scene.robots:
-            assert robot.base == robot.base.rounded()
 
 
 def test_objects_are_listed_in_no_telling_order() -> None:

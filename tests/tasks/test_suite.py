@@ -141,6 +141,15 @@ def test_no_two_instances_are_the_same_table(task: str) -> None:
     assert len(set(scenes)) == len(scenes) == sum(SPLITS.values())
 
 
+def test_poses_are_written_without_loss() -> None:
+    """Rounded to 0.1 mm when drawn, so that lists are short and exact."""
+    for instance in instances("hook_stack", "test"):
+        for placed in instance.scene.objects:
+            assert placed.pose == placed.pose.rounded()
+        for robot in instance.scene.robots:
+            assert robot.base == robot.base.rounded()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("task", LISTED)
 def test_sampling_again_gives_the_frozen_instances(task: str) -> None:

@@ -22,7 +22,14 @@ from lemma.planning.pddl import to_pddl
 from lemma.planning.planner import find_plan
 from lemma.planning.schedule import in_order, pose_jobs
 from lemma.planning.symbolic_state import SymbolicState
-from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.could import could_of
+from lemma.robots.reach import TRAVEL_HEIGHT_M, reach_of
+from lemma.scene.objects.tray import (
+    HANDLE_GRASP_M,
+    HANDLE_WIDTH_M,
+    PLATE_LENGTH_M,
+    TRAY_LENGTH_M,
+)
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import On
@@ -30,7 +37,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.rules import problems
 from lemma.tasks.sampling import sample
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
-from lemma.tasks.suite import TASKS
+from lemma.tasks.suite import TASKS, load_instance
 from lemma.tasks.teams.coalitions import needed
 from lemma.tasks.zones import Territory
 
@@ -214,6 +221,35 @@ def test_each_robot_is_needed() -> None:
         territory = Territory(found.scene.robots)
         assert needed(territory, found.scene.objects, found.goal) == (0, 1)
     assert problems(found) == ()
+
+
+def test_each_handle_is_of_one_robot_alone() -> None:
+    """By the bound of any posture, of trays and racks of the test list."""
+    for index in range(60):
+        scene = load_instance("carry", "test", index).scene
+        for placed in scene.objects:
+            if placed.kind in ("tray", "rack"):
+                owners = [owner(scene, placed.pose, side) for side in (-1, 1)]
+                assert sorted(owners) == [0, 1]
+
+
+def owner(scene: SceneSpec, pose: Pose2, side: int) -> int:
+    """The robot that works at a handle; fails where the other one could touch it."""
+    handle, found = pose @ Pose2(side * HANDLE_GRASP_M, 0.0), []
+    for number, robot in enumerate(scene.robots):
+        reach, away = reach_of(robot.arm), robot.base.distance(handle)
+        if reach.inner_m + 0.03 <= away <= reach.travel_m - 0.03:
+            found.append(number)
+            continue
+        rim = [
+            pose @ Pose2(side * along, across)
+            for along in (PLATE_LENGTH_M / 2, TRAY_LENGTH_M / 2)
+            for across in (-HANDLE_WIDTH_M / 2, HANDLE_WIDTH_M / 2)
+        ]
+        nearest = min(robot.base.distance(point) for point in rim)
+        assert nearest > could_of(robot.arm).touch_m + 0.029
+    (alone,) = found
+    return alone
 
 
 @pytest.mark.slow
