@@ -34,12 +34,13 @@ STEPS = 24
 """Control steps of each world in a round."""
 HORIZON_S = 40.0
 """Length of an episode for each pair of the goal [s]."""
-CLONE_SHARE = 0.3
+CLONE_SHARE = 0.35
 """Share of the time for imitation."""
-CLONE_RATE, CLONE_BATCHES, CLONE_BATCH, KEPT_ROUNDS = 1e-3, 192, 16384, 40
-TAUGHT_ROUNDS, NOISE = 10, 0.1
-"""Rounds within which the share of worlds that the rules move falls to 0; standard
-deviation of the noise on actions."""
+CLONE_RATE, CLONE_BATCHES, CLONE_BATCH, KEPT_ROUNDS = 1e-3, 256, 16384, 40
+TAUGHT_ROUNDS, TAUGHT_LEAST, NOISE = 25, 0.3, 0.1
+"""The share of worlds that the rules move falls by one over this number of rounds, to
+the smallest share, so that episodes get ahead; standard deviation of the noise on
+actions."""
 GAMMA, LAMBDA, CLIP, RATE, EPOCHS, BATCHES = 0.995, 0.95, 0.2, 3e-4, 4, 16
 LOG_STD, LOG_STD_RANGE, MOST_KL = -1.6, (-3.0, -1.0), 0.02
 CRITIC_ROUNDS = 6
@@ -156,7 +157,7 @@ class Learner:
     @torch.no_grad()
     def _visit(self) -> tuple[float, int]:
         """Collect states and the actions of the rules; return success and episodes."""
-        taught = max(0.0, 1.0 - self.rounds / TAUGHT_ROUNDS)
+        taught = max(TAUGHT_LEAST, 1.0 - self.rounds / TAUGHT_ROUNDS)
         inputs, labels, counts = [], [], Counts(self.log_std.device)
         for table in self.tables:
             worlds = table.env.num_envs

@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -219,8 +220,13 @@ def features(
         ],
         -1,
     )
-    units = torch.tensor(UNITS, device=goal_state.device)
-    return torch.cat([goal_state / units, *near, ahead], -1)
+    return torch.cat([goal_state / _units(goal_state.device), *near, ahead], -1)
+
+
+@cache
+def _units(device: torch.device) -> Tensor:
+    """Return :data:`UNITS` on a device; a copy at each step would wait for it."""
+    return torch.tensor(UNITS, device=device)
 
 
 def able(goal_state: Tensor, arms: Arms) -> Tensor:

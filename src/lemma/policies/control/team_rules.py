@@ -35,7 +35,7 @@ _CARRY_M, _SAG_M = 0.12, 0.05
 [m]."""
 _ON_M, _AT_M = 0.008, 0.008
 """Horizontal and vertical distance from the place within which fingers open [m]."""
-_LOWER, _PRESSED_M = -0.35, -0.045
+_LOWER, _PRESSED_M = -0.25, -0.026
 """Action that lowers an object over its place, and lead of the target at which the
 object is known to rest on something, such as a distractor [m]."""
 _DONE_M, _DONE_UP_M = 0.02, 0.012
@@ -56,7 +56,7 @@ def demonstrate(team: Team) -> Tensor:
     acts = _acting(team, grips)
     fetched, retreated = _fetch(team, beside, around), _retreat(team, beside)
     rows = torch.where(acts[..., None], fetched, retreated)
-    rows = torch.where((acts & grips)[..., None], _carry(team, holds), rows)
+    rows = torch.where((acts & grips)[..., None], _carry(team), rows)
     return rows.clamp(-1.0, 1.0)
 
 
@@ -117,7 +117,7 @@ def _fetch(team: Team, beside: Tensor, around: Tensor) -> Tensor:
     return torch.where((closes | ~clear)[..., None], stays, rows)
 
 
-def _carry(team: Team, holds: Tensor) -> Tensor:
+def _carry(team: Team) -> Tensor:
     """Close the fingers, carry the object to its next place, and open them there."""
     goal = team.goal
     puts = team.margins(team.place) > 0.0
@@ -138,7 +138,7 @@ def _carry(team: Team, holds: Tensor) -> Tensor:
     lower = torch.where(over & (up < -_AT_M), _LOWER, rows[..., 2])
     rows = torch.cat([rows[..., :2], lower[..., None], rows[..., 3:]], -1)
     stays = torch.stack([still, still, still, still, grip], -1)
-    firm = holds & (team.asked < _CLOSED_M - 0.5 * GRIP_M)
+    firm = team.asked < _CLOSED_M - 0.5 * GRIP_M
     return torch.where((opens | ~firm)[..., None], stays, rows)
 
 
