@@ -220,10 +220,11 @@ def test_a_cube_pushed_out_of_reach_again_is_dragged_again(task: str) -> None:
 
     def push_back(episode: Episode) -> None:
         scene = episode.simulation.scene
-        x, y = scene.spec.placement(name).pose.xy
-        scene.set_pose(name, Pose((x, y, 0.025)))
+        pose = scene.spec.placement(name).pose
+        scene.set_pose(name, Pose((*pose.xy, 0.025)))
         for robot in scene.spec.robots:
-            assert could_of(robot.arm).excess(robot.base, x, y, CUBE.disc_m) > 0.0
+            beyond_m = could_of(robot.arm).radius_m(CUBE.disc_m)
+            assert robot.base.distance(pose) > beyond_m
 
     play(first_instance(task, TEAM), 2, push_back)
 

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from lemma.core.poses import Pose2
 from lemma.robots.could import HELD_OFF_CENTER_M, could_of, farthest_m
 from lemma.robots.gripper import (
     FINGER_OPENING_M,
@@ -88,9 +87,7 @@ def test_higher_and_lower_than_the_shoulder_is_nearer() -> None:
     assert farthest_m("ur5", 3.0, TCP_OFFSET_M) == 0.0
 
 
-def test_excess_counts_the_size_of_a_thing_and_what_may_be_put_on_it() -> None:
-    could, base = could_of("ur5"), Pose2(0.5, -0.2, 1.0)
-    x = base.x + could.touch_m + 0.2
-    assert could.excess(base, x, base.y, 0.05) == pytest.approx(0.15)
-    beyond = x - base.x - could.place_m
-    assert could.excess(base, x, base.y, 0.0, 0.1) == pytest.approx(beyond - 0.1)
+def test_radius_counts_the_size_of_a_thing_and_what_may_be_put_on_it() -> None:
+    could = could_of("ur5")
+    assert could.radius_m(0.05) == could.touch_m + 0.05
+    assert could.radius_m(0.0, 0.1) == could.place_m + 0.1

@@ -108,7 +108,7 @@ def test_typed_text_is_shown_as_it_is(browser: Browser, page: Page) -> None:
 def test_cube_is_dragged_and_the_table_is_ones_own(
     browser: Browser, page: Page
 ) -> None:
-    (visitor,) = page.visitors()
+    (visitor,) = page._server.get_clients().values()
     assert page.session.play.instance is not None
     ((cube, _),) = page.session.play.instance.goal.pairs
     lies = page.session.play.instance.scene.placement(cube).pose

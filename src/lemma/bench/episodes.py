@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lemma.bench.speed import Figures, record_loop, time_loop
+from lemma.bench.speed import Figures, median_times_s
 from lemma.core.seeding import ordered_sum
 from lemma.core.workers.pool import ProcessPool, run_in_order
 from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.episode import Episode
 from lemma.evaluation.run.rollout import Player, Rollout
 from lemma.evaluation.run.watches import ClearanceWatch
-from lemma.expert.expert import Expert, solve
+from lemma.expert.expert import solve
 from lemma.expert.together import solve_together
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.instance import Instance
@@ -156,7 +156,7 @@ def measure_together(instances: Iterable[Instance], turns: int = 3) -> Figures:
     for instance in instances:
         alone, episode = Episode(instance), Episode(instance)
         watch = ClearanceWatch(episode.simulation)
-        for _ in solve(alone, Expert(alone.simulation.scene, instance.goal)):
+        for _ in solve(alone):
             pass
         for _ in solve_together(episode):
             pass
@@ -169,9 +169,7 @@ def measure_together(instances: Iterable[Instance], turns: int = 3) -> Figures:
             waited.append(ordered_sum(times.waited_s.values()))
     count = max(1, len(both))
     before, after = (ordered_sum(times) for times in zip(*both, strict=True))
-    recorded = record_loop(instances[0], solve_together)
-    runs = [time_loop(instances[0], recorded, solve_together) for _ in range(turns)]
-    loop_s, bare_s = np.median(np.array(runs), axis=0).sum(axis=0).tolist()
+    _, loop_s, bare_s = median_times_s(instances[0], turns, solve_together)
     return {
         "success_rate": solved / len(instances),
         "sequential_s": before / count,

@@ -20,15 +20,15 @@ from lemma.core.workers.resources import peak_memory_mb
 from lemma.env.config import EnvConfig
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.expert import ExpertStep, solve
 from lemma.scene.build import TIME_STEP_S
-from lemma.scene.cameras import CameraImage
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.scene.topdown_map import fuse
 from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, TASKS
+from lemma.viz.map_overlay import camera_images
 from lemma.viz.recording import record
 
 Figures = dict[str, float]
@@ -81,9 +81,9 @@ def _time_sampling(tasks: Iterable[str], each: int = 10) -> float:
 
 def _measure_images(instance: Instance, renderer: Renderer, repeats: int) -> Figures:
     scene = Episode(instance).simulation.scene
-    images = _look(scene, renderer)
+    images = camera_images(scene, renderer)
     fuse(images)
-    look_s = _median_s(lambda: _look(scene, renderer), repeats)
+    look_s = _median_s(lambda: camera_images(scene, renderer), repeats)
     map_s = _median_s(lambda: fuse(images), repeats)
     return {"camera_fps": len(images) / look_s, "map_ms": 1e3 * map_s}
 
@@ -97,7 +97,7 @@ def _time_resets(
         start = time.perf_counter()
         scene = Episode(instances[i % len(instances)]).simulation.scene
         middle = time.perf_counter()
-        _look(scene, renderer)
+        camera_images(scene, renderer)
         times.append((middle - start, time.perf_counter() - start))
     state_s, images_s = np.median(times, axis=0).tolist()
     return state_s, images_s
@@ -108,18 +108,10 @@ def _peak_mb_of_episode(instance: Instance) -> float:
     episode = Episode(instance)
     renderer = Renderer()
     scene = episode.simulation.scene
-    fuse(_look(scene, renderer))
-    for _ in solve(episode, Expert(scene, instance.goal)):
-        fuse(_look(scene, renderer))
+    fuse(camera_images(scene, renderer))
+    for _ in solve(episode):
+        fuse(camera_images(scene, renderer))
     return peak_memory_mb()
-
-
-def _look(scene: Scene, renderer: Renderer) -> list[CameraImage]:
-    scene.refresh()
-    return [
-        renderer.rgbd(scene.model, scene.data, f"{name}/camera")
-        for name in scene.spec.robot_names
-    ]
 
 
 def _median_s(work: Callable[[], object], repeats: int) -> float:
@@ -216,13 +208,7 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
     Raises:
         PhysicsError: The same commands led to another state.
     """
-    found = []
-    for instance in instances:
-        # The recording is also the warm-up.
-        recorded = record_loop(instance)
-        times = np.array([time_loop(instance, recorded) for _ in range(turns)])
-        loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
-        found.append((recorded.simulated_s, loop_s, bare_s))
+    found = [median_times_s(instance, turns, solve) for instance in instances]
     simulated, loop, bare = (sum(column) for column in zip(*found, strict=True))
     return {
         "expert_realtime": simulated / loop,
@@ -232,12 +218,18 @@ def measure_expert_loop(instances: Iterable[Instance], turns: int = 5) -> Figure
     }
 
 
-def _one_by_one(episode: Episode) -> Iterator[ExpertStep]:
-    """Solve an episode with the expert, one robot at a time."""
-    return solve(episode, Expert(episode.simulation.scene, episode.instance.goal))
+def median_times_s(
+    instance: Instance, turns: int, play: Play
+) -> tuple[float, float, float]:
+    """Return an episode's simulated time, and times of loop and bare physics [s]."""
+    # The recording is also the warm-up.
+    recorded = record_loop(instance, play)
+    times = [time_loop(instance, recorded, play) for _ in range(turns)]
+    loop_s, bare_s = np.median(times, axis=0).sum(axis=0).tolist()
+    return recorded.simulated_s, loop_s, bare_s
 
 
-def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
+def record_loop(instance: Instance, play: Play = solve) -> RecordedLoop:
     """Solve an instance with the expert, and record its motor commands.
 
     Args:
@@ -262,7 +254,7 @@ def record_loop(instance: Instance, play: Play = _one_by_one) -> RecordedLoop:
 
 
 def time_loop(
-    instance: Instance, recorded: RecordedLoop, play: Play = _one_by_one
+    instance: Instance, recorded: RecordedLoop, play: Play = solve
 ) -> list[tuple[float, float]]:
     """Return the times of the loop and of bare physics for each sub-task [s].
 

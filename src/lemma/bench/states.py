@@ -20,7 +20,7 @@ from lemma.env.config import EnvConfig
 from lemma.env.control.modes import CONTROLS
 from lemma.env.control_env import ControlEnv
 from lemma.env.episode import Episode
-from lemma.expert.expert import Expert, solve
+from lemma.expert.expert import solve
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import SUITE, load_instance
 
@@ -90,7 +90,7 @@ def hash_case(case: Case, steps: tuple[int, ...] = STEPS) -> list[str]:
     if case.mode == SKILL:
         episode = Episode(instance)
         scene = episode.simulation.scene
-        for _ in solve(episode, Expert(scene, instance.goal)):
+        for _ in solve(episode):
             _add(digest, scene, episode.elapsed_s)
         return [digest.hexdigest()[:_DIGITS]]
     env = ControlEnv(EnvConfig(task=case.task, control=case.mode, reward="dense"))

@@ -19,7 +19,7 @@ from lemma.cli.options import (
     task_names,
     words,
 )
-from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.cli.workers import AT_INTERRUPT, DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.recipe.files import load
 from lemma.dataset.recipe.generate import GenerateConfig, GenerateSummary
@@ -30,9 +30,6 @@ from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
 from lemma.tasks.suite import FREE_SPLIT, SUITE, has_frozen_lists
 
-_AT_INTERRUPT = (
-    "{done} of {total} episodes are saved. The same command continues from there."
-)
 _RECIPE = Path(f"data/lemma-{BENCHMARK_VERSION}")
 _RECOVERY = Path(f"data/lemma-{BENCHMARK_VERSION}-recovery")
 _FORMS = {
@@ -94,7 +91,7 @@ def generate(
             "another folder; files are never deleted."
         )
     engine = working.make_engine()
-    with progress_bar("generate", order.total, _AT_INTERRUPT) as advance:
+    with progress_bar("generate", order.total, AT_INTERRUPT) as advance:
         found = figures(write_recipe(order, engine, advance), engine.workers)
     recovery = recovery_figures(load(out)) if order.perturb else None
     others = None if recovery else differing(out)

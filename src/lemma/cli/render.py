@@ -18,7 +18,7 @@ from lemma.cli.options import (
     print_json,
     words,
 )
-from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
+from lemma.cli.workers import AT_INTERRUPT, DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import InvalidConfigError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset
@@ -31,10 +31,6 @@ from lemma.dataset.teleoperation import files_in
 from lemma.env.learning.motor_state import MotorControl
 from lemma.scene.rendering.batch import choose_renderer
 from lemma.tasks.language.template import KINDS
-
-_AT_INTERRUPT = (
-    "{done} of {total} episodes are saved. The same command continues from there."
-)
 
 FormName = Literal["keyframes", "key-poses", "lerobot"]
 Make = Callable[[Engine, Callable[[int], None]], RenderSummary]
@@ -116,7 +112,7 @@ def render(
     order = RenderConfig(recipe=data, out=out, tasks=tasks, splits=splits)
     make = choose_form(form, order, look)
     engine = working.make_engine()
-    with progress_bar("render", order.episodes(), _AT_INTERRUPT) as advance:
+    with progress_bar("render", order.episodes(), AT_INTERRUPT) as advance:
         summary = make(engine, advance)
     if as_json:
         print_json({"form": form, **asdict(summary)})

@@ -25,6 +25,11 @@ from lemma.core.workers.ray_cluster import RayCluster
 
 _RATE_PERIOD_S = 60.0
 
+AT_INTERRUPT = (
+    "{done} of {total} episodes are saved. The same command continues from there."
+)
+"""Message after an interrupt of a job that resumes."""
+
 
 @dataclass(frozen=True, slots=True)
 class Workers:

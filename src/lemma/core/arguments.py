@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
+from ipaddress import ip_address
 from numbers import Real
 from pathlib import Path
 from typing import (
@@ -281,3 +282,11 @@ def _path(kind: type[Any], value: Any) -> Any:
     """Return a path from its text; all other types are known to msgspec."""
     assert kind is Path
     return Path(value)
+
+
+def is_loopback(host: str | None) -> bool:
+    """Return whether a host is ``localhost`` or an address of this machine itself."""
+    try:
+        return host == "localhost" or ip_address(host or "").is_loopback
+    except ValueError:
+        return False

@@ -7,7 +7,8 @@ more sentences, from which a model learns more words.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.tasks.language.bank import instruct
@@ -68,8 +69,7 @@ def check_recorded(kind: str, splits: Sequence[str]) -> None:
         UnknownNameError: There is no such kind.
         DatasetError: The kind is held out, and a split is for training.
     """
-    if kind not in KINDS:
-        raise UnknownNameError("kind of instruction", kind, KINDS)
+    known("kind of instruction", kind, KINDS)
     if kind not in TRAINING_KINDS and "train" in splits:
         raise DatasetError(
             f"Sentences of kind {kind!r} are held out: they cannot be used with the "
@@ -96,12 +96,8 @@ class Language:
         Raises:
             UnknownNameError: The source or the kind is unknown.
         """
-        if self.instructions not in _SOURCES:
-            raise UnknownNameError(
-                "source of instructions", self.instructions, _SOURCES
-            )
-        if self.kind not in KINDS:
-            raise UnknownNameError("kind of instruction", self.kind, KINDS)
+        known("source of instructions", self.instructions, _SOURCES)
+        known("kind of instruction", self.kind, KINDS)
 
     def choose(self, record: EpisodeRecord, epoch: int = 0) -> str:
         """Return the sentence for an episode of a recipe.

@@ -7,7 +7,6 @@ rendered like those of a recipe.
 """
 
 import json
-import math
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -26,6 +25,7 @@ from lemma.env.episode import STILL_S, Episode
 from lemma.env.simulation import HORIZON_S, Simulation
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.build import TICK_S
+from lemma.scene.objects.bodies import resting_quaternion
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.overlaps import check_place
 from lemma.tasks.instance import Instance
@@ -303,9 +303,8 @@ def nudge(simulation: Simulation, name: str, pose: Pose2) -> None:
     scene = simulation.scene
     _check_free(simulation, name)
     before, kind = scene.snapshot(), entity_named(name).kind
-    half = pose.yaw / 2.0
-    turned = (math.cos(half), 0.0, 0.0, math.sin(half))
-    scene.set_pose(name, Pose((pose.x, pose.y, kind.origin_m), turned))
+    position, turned = (*pose.xy, kind.origin_m), resting_quaternion(pose.yaw)
+    scene.set_pose(name, Pose(position, turned))
     try:
         check_place(scene, name)
     except InvalidConfigError:

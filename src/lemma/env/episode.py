@@ -195,6 +195,13 @@ class Episode:
         failed = [done.result.outcome for done in self.executed if not done.result.ok]
         return str(failed[-1]) if failed else "goal_not_reached"
 
+    def check_running(self) -> None:
+        """Raise :class:`ResetNeededError` if the episode is over."""
+        if self.is_over:
+            raise ResetNeededError(
+                f"The episode {self.instance.key} is over. Reset before you act again."
+            )
+
     def execute(self, grounded: GroundedSubTask) -> SkillResult:
         """Execute one grounded sub-task.
 
@@ -202,10 +209,7 @@ class Episode:
             ResetNeededError: The episode is over.
             UnknownNameError: There is no such robot in this scene.
         """
-        if self.is_over:
-            raise ResetNeededError(
-                f"The episode {self.instance.key} is over. Reset before you act again."
-            )
+        self.check_running()
         start = self.elapsed_s
         result = self.simulation.execute(grounded, until_s=self.horizon_s)
         self.executed.append(ExecutedSubTask(grounded, result, start))
@@ -226,10 +230,7 @@ class Episode:
             InvalidActionError: The robot is busy.
             UnknownNameError: There is no such robot in this scene.
         """
-        if self.is_over:
-            raise ResetNeededError(
-                f"The episode {self.instance.key} is over. Reset before you act again."
-            )
+        self.check_running()
         if not self.simulation.busy:
             self._quiet, self._begun = self.snapshot(), []
         self.simulation.begin(grounded, self.horizon_s, leaving)

@@ -96,13 +96,14 @@ class Expert:
             self._queue, self._expected = [], None
 
 
-def solve(episode: Episode, expert: Expert) -> Iterator[ExpertStep]:
+def solve(episode: Episode, expert: Expert | None = None) -> Iterator[ExpertStep]:
     """Solve an episode with an expert; yield every executed sub-task.
 
     Args:
         episode: The episode in progress.
-        expert: The expert, for the same scene and goal.
+        expert: The expert, for the same scene and goal; a new one if None.
     """
+    expert = expert or Expert(episode.simulation.scene, episode.instance.goal)
     for _ in range(_MAX_STEPS):
         subtask, grounded = expert.act()
         if grounded is None:

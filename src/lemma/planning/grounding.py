@@ -8,7 +8,7 @@ outcome at every level.
 
 from dataclasses import replace
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.arguments import known
 from lemma.core.poses import Pose2
 from lemma.motion.outcome import Outcome, SkillResult, has_fallen
 from lemma.planning.geometry import GroundedOption, SceneGeometry
@@ -46,8 +46,7 @@ class GeometricGrounder(SceneGeometry):
         """
         if subtask.primitive is Primitive.STOP:
             return None
-        if subtask.robot not in self.robots:
-            raise UnknownNameError("robot", subtask.robot, self.robots)
+        known("robot", subtask.robot, self.robots)
         if subtask.pick not in now.poses or subtask.place in now.fallen:
             return None
         spec = PRIMITIVES[subtask.primitive]

@@ -171,6 +171,21 @@ class TransformerLayer(nn.Module):
         return out
 
 
+def planner_layers(
+    width: int, heads: int, dropout: float, layers: int
+) -> nn.ModuleList:
+    """Return the transformer layers of a planner; see :class:`TransformerLayer`."""
+    return nn.ModuleList(
+        TransformerLayer(width, heads, 4 * width, dropout, F.silu, drops_hidden=False)
+        for _ in range(layers)
+    )
+
+
+def mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
+    """Return two linear layers, from a width over a hidden one to another."""
+    return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
+
+
 def check_heads(width: int, heads: int) -> None:
     """Check that the number of attention heads divides the width.
 

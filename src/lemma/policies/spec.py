@@ -153,8 +153,7 @@ class PolicySpec:
         check_no_secret(name for name, _ in self.arguments)
         self._check_level()
         self._check_acting()
-        if self.planning not in PLANNINGS:
-            raise UnknownNameError("way of planning", self.planning, PLANNINGS)
+        known("way of planning", self.planning, PLANNINGS)
         if not 0.0 <= self.timeout_s < float("inf"):
             raise InvalidConfigError(
                 f"The time limit of a decision is {self.timeout_s} s. Valid: a "

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lemma.core.arguments import without_passwords
+from lemma.core.arguments import known, without_passwords
 from lemma.core.errors import UnknownNameError, WeightsError
 from lemma.core.files import read_json, sha256_of
 
@@ -90,9 +90,7 @@ def find_published(name: str) -> Path:
         WeightsError: The checksum is wrong, or the download failed.
     """
     published = published_weights()
-    if name not in published:
-        raise UnknownNameError("published weights", name, published)
-    entry = published[name]
+    entry = published[known("published weights", name, published)]
     if (found := _local(entry)) is not None:
         return _checked(found, entry)
     if entry["revision"] is None:

@@ -19,7 +19,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from lemma.core.poses import Pose2
 from lemma.robots.gripper import (
     FINGER_OPENING_M,
     FINGER_THICKNESS_M,
@@ -48,30 +47,13 @@ class Could:
     place_m: float
     """Largest distance of the centre of a cube that is put down [m]."""
 
-    def excess(
-        self, base: Pose2, x: float, y: float, radius_m: float, support_m: float = 0.0
-    ) -> float:
-        """Return how far outside a robot's reachable set an object is [m].
-
-        Args:
-            base: World from base.
-            x: World x of the centre of the object [m].
-            y: World y of the centre of the object [m].
-            radius_m: Radius of a disc that covers the object.
-            support_m: Largest distance between the centre of the object and that of
-                another one that counts as placed on it.
-
-        Returns:
-            The gap between the object and the region in which the robot could touch it
-            or place a cube on it; negative inside that region.
-        """
-        r = math.hypot(x - base.x, y - base.y)
-        return r - self.radius_m(radius_m, support_m)
-
     def radius_m(self, radius_m: float, support_m: float = 0.0) -> float:
         """Return the distance from the base beyond which an object is out of reach [m].
 
-        See :meth:`excess` for the arguments.
+        Args:
+            radius_m: Radius of a disc that covers the object.
+            support_m: Largest distance between the centre of the object and that of
+                another one that counts as placed on it.
         """
         return max(self.touch_m + radius_m, self.place_m + support_m)
 

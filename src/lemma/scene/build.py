@@ -2,8 +2,8 @@
 
 import math
 
+from lemma.core.arguments import known
 from lemma.core.engine import mujoco
-from lemma.core.errors import UnknownNameError
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec, add_arm
 from lemma.scene.camera_mounts import camera_mount
 from lemma.scene.objects.bodies import (
@@ -45,8 +45,7 @@ def compile_model(spec: SceneSpec, actuation: str = "position") -> mujoco.MjMode
     Raises:
         UnknownNameError: No such actuation or arm.
     """
-    if actuation not in ACTUATIONS:
-        raise UnknownNameError("actuation", actuation, ACTUATIONS)
+    known("actuation", actuation, ACTUATIONS)
     world = mujoco.MjSpec()
     _set_options(world)
     _add_room(world)

@@ -15,6 +15,7 @@ from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
 from lemma.scene.coasting import Coasting
+from lemma.scene.objects.bodies import resting_quaternion
 from lemma.scene.objects.contacts import LEFT, RIGHT, parts_of_robots
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
@@ -335,11 +336,9 @@ class Scene:
 
 def _lying(placed: ObjectPlacement) -> Pose:
     """Return the initial pose of an object's body frame in the world."""
-    half = placed.pose.yaw / 2
-    return Pose(
-        (placed.pose.x, placed.pose.y, placed.entity.kind.origin_m),
-        (math.cos(half), 0.0, 0.0, math.sin(half)),
-    )
+    x, y = placed.pose.xy
+    position = (x, y, placed.entity.kind.origin_m)
+    return Pose(position, resting_quaternion(placed.pose.yaw))
 
 
 def _derive(model: mujoco.MjModel, data: mujoco.MjData) -> None:

@@ -330,10 +330,6 @@ class Page:
         self.panel.refresh(play)
         self.updates += 1
 
-    def visitors(self) -> list[viser.ClientHandle]:
-        """Return the present visitors, one per browser tab."""
-        return list(self._server.get_clients().values())
-
     def run(self) -> None:
         """Run until another thread calls :meth:`close`, or until an interrupt."""
         self._rounds.go(self.tick)

@@ -13,13 +13,13 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
 import viser
 import websockets.asyncio.server
 
+from lemma.core.arguments import is_loopback
 from lemma.core.errors import InvalidConfigError
 from lemma.viz.pages.templates import macro
 
@@ -64,7 +64,7 @@ class Guard:
         page, called = urlsplit(origin), urlsplit(f"//{host or ''}")
         if page.hostname and page.hostname in map(str.lower, self.hosts):
             return True
-        local = _is_loopback(called.hostname) or not _is_loopback(self.listens_at)
+        local = is_loopback(called.hostname) or not is_loopback(self.listens_at)
         if host and page.netloc == host and local:
             return True
         if not self._refused:
@@ -74,13 +74,6 @@ class Guard:
                 "a proxy, allow the host in the browser's address bar: --allow-host "
                 "HOST"
             )
-        return False
-
-
-def _is_loopback(name: str | None) -> bool:
-    try:
-        return name == "localhost" or ip_address(name or "").is_loopback
-    except ValueError:
         return False
 
 

@@ -33,13 +33,17 @@ _NOT_SEEN = (214, 216, 219)
 _SHARED_TINT = np.array([255, 238, 170], dtype=np.float64)
 
 
-def camera_images(scene: Scene) -> list[CameraImage]:
+def camera_images(scene: Scene, renderer: Renderer | None = None) -> list[CameraImage]:
     """Return the images of all robots' cameras, for :func:`annotated_map`.
+
+    Args:
+        scene: The scene.
+        renderer: Draws them; a new one if None.
 
     Raises:
         RenderingError: OpenGL does not work here.
     """
-    renderer = Renderer()
+    renderer = renderer or Renderer()
     scene.refresh()
     return [
         renderer.rgbd(scene.model, scene.data, f"{name}/camera")

@@ -2,7 +2,7 @@
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -106,29 +106,6 @@ class Recording:
     stages: Mapping[str, Any] = field(default_factory=dict)
     """Its stages, as in lines of results; empty if they were not computed."""
 
-    @classmethod
-    def of(
-        cls, title: str, episode: Episode, lines: Sequence[Line], frames: Frames
-    ) -> "Recording":
-        """Return the recording of an episode that is over.
-
-        Args:
-            title: Title of the policy.
-            episode: The episode, at its end.
-            lines: Its sub-tasks, in order.
-            frames: Its states.
-        """
-        return cls(
-            title,
-            episode.instance,
-            tuple(lines),
-            frames,
-            episode.is_success,
-            episode.failure,
-            episode.elapsed_s,
-            stages=episode.stages.record(),
-        )
-
     @property
     def verdict(self) -> str:
         """The result, as a sentence."""
@@ -168,13 +145,68 @@ class Recording:
         }
 
 
+class Recorder:
+    """Records the frames of an episode as it is played, and its sub-tasks."""
+
+    def __init__(
+        self,
+        episode: Episode,
+        frame_s: float | None = FRAME_S,
+        before: Iterable[tuple[float, FloatArray]] = (),
+    ) -> None:
+        """Observe an episode.
+
+        Args:
+            episode: The episode.
+            frame_s: Simulated time from one frame to the next [s]; no frames if None.
+            before: Frames up to now.
+        """
+        self._episode = episode
+        self._taker = (
+            FrameTaker(episode.simulation, frame_s, before) if frame_s else None
+        )
+        self._watch = TeamWatch(episode.simulation)
+        self.lines: list[Line] = []
+        """The sub-tasks, in order."""
+
+    def add(self, line: Line, now_s: float | None = None) -> Line:
+        """Add a sub-task with what its robot waited for.
+
+        Args:
+            line: The sub-task.
+            now_s: End of a sub-task without an end [s]; the present if None.
+        """
+        now_s = self._episode.elapsed_s if now_s is None else now_s
+        self.lines.append(line.watched(self._watch, now_s))
+        return self.lines[-1]
+
+    @property
+    def frames(self) -> Frames:
+        """States, the first one at 0 s; empty if none are recorded."""
+        return self._taker.frames if self._taker else ()
+
+    def recording(self, title: str) -> Recording:
+        """Return the recording of an episode that is over, under a title."""
+        episode = self._episode
+        return Recording(
+            title,
+            episode.instance,
+            tuple(self.lines),
+            self.frames,
+            episode.is_success,
+            episode.failure,
+            episode.elapsed_s,
+            stages=episode.stages.record(),
+        )
+
+
 def record(
     instance: Instance,
     player: Player | None = None,
     *,
     title: str = "The expert",
     frame_s: float | None = None,
-    on_step: Callable[[Line], None] | None = None,
+    on_step: Callable[[Line], object] = lambda line: None,
     horizon_s: float = HORIZON_S,
 ) -> Recording:
     """Play an instance with a policy, and record it.
@@ -189,54 +221,41 @@ def record(
     """
     started = time.perf_counter()
     play = Rollout(instance, horizon_s=horizon_s)
-    taker = FrameTaker(play.episode.simulation, frame_s) if frame_s else None
-    lines, watch = [], TeamWatch(play.episode.simulation)
+    recorder = Recorder(play.episode, frame_s)
 
     def take_step(_: Rollout, step: StepRecord) -> None:
-        line = describe_step(step, instance)
-        lines.append(line.watched(watch, play.episode.elapsed_s))
-        if on_step:
-            on_step(lines[-1])
+        on_step(recorder.add(describe_step(step, instance)))
 
     player = player or Player.load(PolicySpec())
     for _ in roll_out([play], player, on_step=take_step):
         pass
-    done = Recording.of(title, play.episode, lines, taker.frames if taker else ())
-    wall_s = time.perf_counter() - started
+    done, wall_s = recorder.recording(title), time.perf_counter() - started
     return replace(done, success=play.success, failure=play.failure, wall_s=wall_s)
 
 
 def record_together(
     instance: Instance,
     *,
-    title: str = "The expert, all robots at once",
     frame_s: float | None = None,
-    on_step: Callable[[Line], None] | None = None,
-    horizon_s: float = HORIZON_S,
+    on_step: Callable[[Line], object] = lambda line: None,
 ) -> Recording:
     """Play an instance with the expert and all robots at the same time; record it.
 
     Args:
         instance: The problem.
-        title: Title of the policy.
         frame_s: Simulated time from one frame to the next [s]; no frames if None.
         on_step: Called with every sub-task as soon as it has ended.
-        horizon_s: Simulated time after which the episode ends [s].
 
     Returns:
         The episode, with its sub-tasks in the order in which they began.
     """
     started = time.perf_counter()
-    episode = Episode(instance, horizon_s=horizon_s)
-    taker = FrameTaker(episode.simulation, frame_s) if frame_s else None
-    lines, watch = [], TeamWatch(episode.simulation)
+    episode = Episode(instance)
+    recorder = Recorder(episode, frame_s)
     for step in solve_together(episode):
-        line = describe_step(step, instance)
-        lines.append(line.watched(watch, episode.elapsed_s))
-        if on_step:
-            on_step(lines[-1])
-    lines.sort(key=lambda line: line.start_s)
-    done = Recording.of(title, episode, lines, taker.frames if taker else ())
+        on_step(recorder.add(describe_step(step, instance)))
+    recorder.lines.sort(key=lambda line: line.start_s)
+    done = recorder.recording("The expert, all robots at once")
     return replace(done, wall_s=time.perf_counter() - started)
 
 

@@ -8,14 +8,14 @@ from lemma.audit.attack import ATTACKS
 from lemma.audit.control_trial import control_config
 from lemma.audit.run import Found
 from lemma.core.errors import InvalidConfigError
-from lemma.dataset.playback import FrameTaker, MotorCommands, Step, play_steps
+from lemma.dataset.playback import MotorCommands, Step, play_steps
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
 from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.report.episodes import Case, explanation, subtask_words
 from lemma.evaluation.run.replay import Watcher, differences, play_again
-from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.expert import ExpertStep, solve
 from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
 from lemma.scene.build import TICK_S
@@ -25,6 +25,7 @@ from lemma.tasks.subtask import Primitive, SubTask
 from lemma.viz.recording import (
     FRAME_S,
     Line,
+    Recorder,
     Recording,
     describe_step,
     describe_subtask,
@@ -32,7 +33,6 @@ from lemma.viz.recording import (
     name_region,
     robot_titles,
 )
-from lemma.viz.team_watch import TeamWatch
 
 EXPERT = "The expert"
 BY_HAND = "By hand"
@@ -68,7 +68,7 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
             "nothing to replay."
         )
     episode = Episode(instance)
-    taker = FrameTaker(episode.simulation, frame_s)
+    recorder = Recorder(episode, frame_s)
     commands, names = found.commands, [str(step.primitive) for step in found.subtasks]
     steps: list[Step] = [*found.subtasks]
     if commands is not None:
@@ -85,11 +85,10 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
         episode.stop()
     title = robot_titles(instance)[found.robot]
     summary = ATTACKS[found.attack].summary
-    lines = [
-        Line(f"{title} alone, {name}. {summary}", start_s, end_s, Outcome.SUCCESS)
-        for name, (start_s, end_s) in zip(names, pairwise(times), strict=True)
-    ]
-    done = Recording.of(found.attack, episode, lines, taker.frames)
+    for name, span_s in zip(names, pairwise(times), strict=True):
+        words = f"{title} alone, {name}. {summary}"
+        recorder.add(Line(words, *span_s, Outcome.SUCCESS))
+    done = recorder.recording(found.attack)
     failure = None if done.success else "goal_not_reached"
     return replace(done, failure=failure, elapsed_s=episode.simulation.time_s)
 
@@ -97,16 +96,14 @@ def replay_attack(found: Found, instance: Instance, frame_s: float) -> Recording
 def replay_record(record: EpisodeRecord) -> Recording:
     """Execute the sub-tasks of an episode of a recipe."""
     episode = Episode(Instance.from_dict(record.instance_data()))
-    taker = FrameTaker(episode.simulation, FRAME_S)
-    watch = TeamWatch(episode.simulation)
+    recorder = Recorder(episode)
     play_steps(episode, [step.grounded for step in record.subtasks])
-    lines = []
     for step, done in zip(record.subtasks, episode.executed, strict=False):
         names = step.robot, Primitive(step.primitive), step.pick, step.place
         line = line_of(step.instruction, step.start_s, done.result, SubTask(*names))
-        lines.append(line.watched(watch, episode.elapsed_s))
+        recorder.add(line)
     episode.stop()
-    return Recording.of(EXPERT, episode, lines, taker.frames)
+    return recorder.recording(EXPERT)
 
 
 def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
@@ -119,23 +116,21 @@ def replay_teleoperation(done: Teleoperation) -> tuple[Recording, bool]:
         LemmaError: It cannot be repeated.
     """
     episode = Episode(done.instance)
-    taker = FrameTaker(episode.simulation, FRAME_S)
-    watch = TeamWatch(episode.simulation)
+    recorder = Recorder(episode)
     perform(done, episode)
     ends_s = [*(part.start_s for part in done.parts[1:]), done.end_s]
-    lines = []
     for part, end_s in zip(done.parts, ends_s, strict=True):
         line = Line(LED, part.start_s, end_s, "by hand")
         if not isinstance(part, Commanded):
             words = describe_subtask(part.subtask, done.instance)
             outcome = "" if part.until_s is None else "taken over"
             line = replace(line, words=words, outcome=outcome, subtask=part.subtask)
-        lines.append(line.watched(watch, end_s))
+        recorder.add(line, end_s)
     for nudged in done.nudged:
         words = f"The {entity_named(nudged.name).phrase} was moved"
-        lines.append(Line(words, nudged.time_s, nudged.time_s, "by hand"))
-    lines.sort(key=lambda line: line.start_s)
-    return Recording.of(BY_HAND, episode, lines, taker.frames), is_same(done, episode)
+        recorder.add(Line(words, nudged.time_s, nudged.time_s, "by hand"))
+    recorder.lines.sort(key=lambda line: line.start_s)
+    return recorder.recording(BY_HAND), is_same(done, episode)
 
 
 def turn_of(case: Case) -> int:
@@ -164,14 +159,12 @@ def replay_line(
         frame_s: Simulated time from one frame to the next [s].
     """
     row, turn = case.row, turn_of(case)
-    takers: list[FrameTaker] = []
-    watches: list[TeamWatch] = []
+    recorders: list[Recorder] = []
     turns: list[tuple[EpisodeSnapshot, float]] = []
 
     def look(episode: Episode, number: int) -> None:
-        if not takers:
-            takers.append(FrameTaker(episode.simulation, frame_s))
-            watches.append(TeamWatch(episode.simulation))
+        if not recorders:
+            recorders.append(Recorder(episode, frame_s))
         # A replay that differs may end before the turn.
         if number <= turn or not turns:
             # The expert also continues after the policy's `stop`.
@@ -180,25 +173,22 @@ def replay_line(
         watch(episode, number)
 
     again = play_again(row, case.instance, case.about, look, strictly=True)
-    recording = Recording(
-        case.policy,
-        case.instance,
-        tuple(
-            Line(
-                name_region(subtask_words(case, step), step["place"], case.instance),
-                float(step["start_s"]),
-                float(step["start_s"] + step["duration_s"]),
-                step["outcome"],
-                step["explanation"],
-                step["outcome"] == Outcome.SUCCESS,
-                SubTask.from_dict(dict(step)),
-            ).watched(watches[0], row["elapsed_s"])
-            for step in row["subtasks"]
-        ),
-        takers[0].frames,
-        row["success"],
-        row["failure"],
-        row["elapsed_s"],
+    for step in row["subtasks"]:
+        line = Line(
+            name_region(subtask_words(case, step), step["place"], case.instance),
+            float(step["start_s"]),
+            float(step["start_s"] + step["duration_s"]),
+            step["outcome"],
+            step["explanation"],
+            step["outcome"] == Outcome.SUCCESS,
+            SubTask.from_dict(dict(step)),
+        )
+        recorders[0].add(line, row["elapsed_s"])
+    recording = replace(
+        recorders[0].recording(case.policy),
+        success=row["success"],
+        failure=row["failure"],
+        elapsed_s=row["elapsed_s"],
         because=explanation(case),
         stages=row["stages"],
     )
@@ -219,23 +209,21 @@ def expert_instead(case: Case, again: Replayed) -> Recording:
     episode = Episode(case.instance, horizon_s=case.about["horizon_s"])
     episode.restore(again.turn)
     before = [frame for frame in again.recording.frames if frame[0] <= again.turn_s]
-    taker = FrameTaker(episode.simulation, FRAME_S, before)
-    kept, watch = turn_of(case), TeamWatch(episode.simulation)
-    lines = [*again.recording.lines[:kept]]
+    recorder, kept = Recorder(episode, FRAME_S, before), turn_of(case)
+    lines = recorder.lines
+    lines += again.recording.lines[:kept]
     steps: Iterable[ExpertStep]
     if case.row.get("together") is None:
-        expert = Expert(episode.simulation.scene, case.instance.goal)
-        steps = solve(episode, expert)
+        steps = solve(episode)
     else:
         begun = again.recording.lines[kept:]
-        lines += [line.watched(watch, again.turn_s) for line in _finish(episode, begun)]
+        for line in _finish(episode, begun):
+            recorder.add(line, again.turn_s)
         steps = solve_together(episode)
-    lines += [
-        describe_step(step, case.instance).watched(watch, episode.elapsed_s)
-        for step in steps
-    ]
+    for step in steps:
+        recorder.add(describe_step(step, case.instance))
     title = f"{EXPERT}, from sub-task {kept + 1} on" if kept else EXPERT
-    found = Recording.of(title, episode, lines, taker.frames)
+    found = recorder.recording(title)
     if len(lines) == kept and not found.success:
         return replace(found, because="The expert finds no plan from there.")
     return found

@@ -42,7 +42,7 @@ def record_episode(instance: Instance) -> EpisodeRecord:
     episode = Episode(instance)
     keeper = EpisodeRecorder(episode)
     keeper.keep()
-    for step in solve(episode, Expert(episode.simulation.scene, instance.goal)):
+    for step in solve(episode):
         keeper.keep(step)
     return EpisodeRecord(**keeper.columns())
 

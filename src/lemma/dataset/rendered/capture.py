@@ -6,7 +6,7 @@ The recipe contains the state of every keyframe, so nothing is simulated.
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -83,7 +83,7 @@ class KeyframeForm:
         digests: tuple[str, ...],
         header: Header,
     ) -> None:
-        """Render the keyframes of some episodes.
+        """Render the rows of some episodes.
 
         Args:
             paths: Files, in the order of ``PARTS``.
@@ -93,6 +93,7 @@ class KeyframeForm:
 
         Raises:
             DatasetError: A state does not have its recorded hash.
+            InvalidConfigError: The episodes have different numbers of robots.
             RenderingError: OpenGL does not work here.
         """
         robots = {len(record.instance_data()["robots"]) for record in records}
@@ -101,7 +102,7 @@ class KeyframeForm:
                 f"Teams of {sorted(robots)} robots do not fit into one file. Use "
                 "different tasks for them."
             )
-        counts = tuple(_count(record) for record in records)
+        counts, rows = self._counted(records)
         mine = replace(
             header,
             robots=max(robots),
@@ -110,8 +111,14 @@ class KeyframeForm:
             keyframes=counts,
         )
         headers = [replace(mine, part=part) for part in PARTS]
-        rows = (row for record in records for row in self.rows(record))
         write_keyframes(list(zip(paths, headers, strict=True)), rows)
+
+    def _counted(
+        self, records: Sequence[EpisodeRecord]
+    ) -> tuple[tuple[int, ...], Iterable[Row]]:
+        """Return the number of rows of each episode, and all rows."""
+        rows = (row for record in records for row in self.rows(record))
+        return tuple(map(_count, records)), rows
 
     def rows(self, record: EpisodeRecord) -> Iterator[Row]:
         """Yield the keyframes of an episode, with all columns.
@@ -140,21 +147,28 @@ class KeyframeForm:
 
 
 def stored(view: View) -> Row:
-    """Return a view as columns.
+    """Return a view as columns of the files of maps and of cameras.
 
     Depths and heights of a view are already multiples of the stored unit, so storage
     loses nothing, and maps can be fused again, for example with another raster.
     """
     images = view.cameras.values()
     return {
-        "joints": view.joints,
-        "opening_m": view.opening_m,
+        **stored_map(view),
         "intrinsics": np.array([i.camera.intrinsics.matrix() for i in images]),
         "world_from_camera": np.array(
             [image.camera.world_from_camera.matrix() for image in images]
         ),
         "rgb": np.array([image.rgb for image in images]),
         "depth": np.array([encode_depth(image.depth_m) for image in images]),
+    }
+
+
+def stored_map(view: View) -> Row:
+    """Return a view as columns of the files of maps."""
+    return {
+        "joints": view.joints,
+        "opening_m": view.opening_m,
         "map_rgb": view.rgb,
         "map_height": RASTER.encode_height(view.height_m, view.coverage),
     }

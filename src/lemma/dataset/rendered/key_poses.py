@@ -5,9 +5,9 @@ training and evaluation have the same states. Only the instances of a recipe are
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import chain
 
 import numpy as np
 
@@ -19,13 +19,12 @@ from lemma.dataset.rendered.capture import (
     entity_poses,
     episode_columns,
     rig_of,
+    stored_map,
 )
 from lemma.dataset.rendered.keyframes import (
     KEY_POSES,
-    PARTS,
     Header,
     Row,
-    write_keyframes,
 )
 from lemma.env.config import EnvConfig
 from lemma.env.control.key_poses import (
@@ -41,7 +40,6 @@ from lemma.env.control.key_poses import (
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import object_poses
 from lemma.expert.key_poses import next_key_poses
-from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import STOP, SubTask
 from lemma.tasks.suite import FREE_SPLIT
@@ -63,28 +61,12 @@ class KeyPoseForm(KeyframeForm):
         # Not super(): slots create another class.
         return KeyframeForm.header(self, settings)
 
-    def write(
-        self,
-        paths: Sequence[Path],
-        records: Sequence[EpisodeRecord],
-        digests: tuple[str, ...],
-        header: Header,
-    ) -> None:
-        """Play and render some episodes; failed ones have no rows.
-
-        Arguments and errors are those of :meth:`KeyframeForm.write`.
-        """
+    def _counted(
+        self, records: Sequence[EpisodeRecord]
+    ) -> tuple[tuple[int, ...], Iterable[Row]]:
+        """Play all episodes first: failed ones have no rows."""
         played = [list(self.rows(record)) for record in records]
-        mine = replace(
-            header,
-            robots=len(records[0].instance_data()["robots"]),
-            entities=entities_of(records[0].task),
-            digests=digests,
-            keyframes=tuple(map(len, played)),
-        )
-        headers = [replace(mine, part=part) for part in PARTS]
-        files = list(zip(paths, headers, strict=True))
-        write_keyframes(files, (row for rows in played for row in rows))
+        return tuple(map(len, played)), chain.from_iterable(played)
 
     def rows(self, record: EpisodeRecord) -> Iterator[Row]:
         """Yield a row for each key pose of an episode; none if it fails.
@@ -153,11 +135,9 @@ class KeyPoseForm(KeyframeForm):
     def _row(self, env: ControlEnv, subtask: SubTask, key: KeyPose) -> Row:
         scene = env.episode.simulation.scene
         entities = entities_of(env.episode.instance.task)
-        view = rig_of(self.width, self.height).look(scene)
-        names = subtask.to_dict()
         return {
             "time_s": env.episode.elapsed_s,
-            **names,
+            **subtask.to_dict(),
             "sub_instruction": "",
             "pick_pose": (math.nan,) * 3,
             "place_pose": (math.nan,) * 3,
@@ -165,8 +145,5 @@ class KeyPoseForm(KeyframeForm):
             "kind": str(key.kind),
             "key_pose": key.stand,
             "objects": entity_poses(object_poses(scene), entities),
-            "joints": view.joints,
-            "opening_m": view.opening_m,
-            "map_rgb": view.rgb,
-            "map_height": RASTER.encode_height(view.height_m, view.coverage),
+            **stored_map(rig_of(self.width, self.height).look(scene)),
         }

@@ -22,7 +22,8 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from lemma.core.errors import DatasetError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import DatasetError
 from lemma.core.files import damaged, parse_json, write_whole
 from lemma.dataset.recipe.files import METADATA_KEY, explained
 from lemma.dataset.recipe.schema import Columns, markdown_rows, perturbed_as
@@ -339,8 +340,7 @@ class KeyframeFile:
         )
         names = reader.schema.names
         for name in columns or ():
-            if name not in names:
-                raise UnknownNameError(f"column of {path.name}", name, names)
+            known(f"column of {path.name}", name, names)
         if columns is not None:
             wanted = [names.index(name) for name in names if name in columns]
             reader = self._open(

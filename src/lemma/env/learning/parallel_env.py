@@ -1,6 +1,6 @@
 """The control level for PettingZoo: one agent per robot."""
 
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
@@ -14,7 +14,10 @@ from lemma.env.camera_rig import (
 )
 from lemma.env.control_env import ControlEnv
 from lemma.env.observation import Observation, Observer
+from lemma.env.team.team_env import TeamEnv
 from lemma.scene.cameras import RgbImage
+
+E = TypeVar("E", ControlEnv, TeamEnv)
 
 ParallelStep = tuple[
     dict[str, Observation],
@@ -25,20 +28,16 @@ ParallelStep = tuple[
 ]
 
 
-class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
-    """A PettingZoo environment with one agent per robot and a shared reward.
+class Agents(Generic[E]):
+    """Base of the PettingZoo environments: one agent per robot of an environment."""
 
-    An agent observes the joints and cameras of its robot and commands its motors.
-    Everything else is as in the wrapped :class:`~lemma.env.control_env.ControlEnv`.
-    """
-
-    def __init__(self, inner: ControlEnv) -> None:
+    def __init__(self, inner: E) -> None:
         """Split an environment among its robots.
 
         Args:
             inner: The environment that all agents share.
         """
-        self.inner = inner
+        self.inner: E = inner
         self.metadata = {**inner.metadata, "name": f"lemma/{inner.task}"}
         self.render_mode = inner.render_mode
         self.possible_agents = list(inner.robot_names)
@@ -54,6 +53,45 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
             )
             for i, name in enumerate(self.possible_agents)
         }
+
+    def _cameras_of(self, agent: str) -> tuple[str, ...] | None:
+        """Return the names of an agent's cameras; None for those of its robot."""
+        return None
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Return the observation space of an agent."""
+        return self._observers[agent].space
+
+    def observe(self, agent: str) -> Observation:
+        """Return the present observation of an agent."""
+        observer, inner = self._observers[agent], self.inner
+        return observer.observe(inner.episode, inner.config.instruction)
+
+    def state_hash(self) -> str:
+        """Return the SHA-256 of the full integration state of the physics."""
+        return self.inner.state_hash()
+
+    def render(self) -> RgbImage | None:
+        """Return an image for people; None without a render mode."""
+        return self.inner.render()
+
+    def close(self) -> None:
+        """Free the resources of rendering."""
+        for observer in self._observers.values():
+            observer.close()
+        self.inner.close()
+
+
+class LemmaParallelEnv(Agents[ControlEnv], ParallelEnv[str, Observation, Any]):
+    """A PettingZoo environment with one agent per robot and a shared reward.
+
+    An agent observes the joints and cameras of its robot and commands its motors.
+    Everything else is as in the wrapped :class:`~lemma.env.control_env.ControlEnv`.
+    """
+
+    def __init__(self, inner: ControlEnv) -> None:
+        """Split an environment among its robots."""
+        super().__init__(inner)
         self._action_spaces = {
             name: inner.action_layout.row_box() for name in self.possible_agents
         }
@@ -64,10 +102,6 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
             return None
         own = {agent, wrist_name(agent), reach_name(agent), OVERVIEW_NAME, TABLE_NAME}
         return tuple(name for name in self.inner.config.cameras if name in own)
-
-    def observation_space(self, agent: str) -> spaces.Dict:
-        """Return the observation space of an agent."""
-        return self._observers[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
         """Return the action space of an agent: one row of ``inner.action_layout``."""
@@ -87,7 +121,8 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         """
         self.inner.set_table(seed, options)
         self.agents = list(self.possible_agents)
-        return self._observe(), self._infos()
+        seen = {agent: self.observe(agent) for agent in self.agents}
+        return seen, self._infos()
 
     def step(self, actions: Action) -> ParallelStep:
         """Command all motors for one control step.
@@ -111,33 +146,12 @@ class LemmaParallelEnv(ParallelEnv[str, Observation, Any]):
         if terminated or truncated:
             self.agents = []
         return (
-            self._observe(),
+            {agent: self.observe(agent) for agent in agents},
             dict.fromkeys(agents, reward),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             self._infos(),
         )
 
-    def _observe(self) -> dict[str, Observation]:
-        kind = self.inner.config.instruction
-        return {
-            agent: observer.observe(self.inner.episode, kind)
-            for agent, observer in self._observers.items()
-        }
-
     def _infos(self) -> dict[str, dict[str, Any]]:
         return {agent: self.inner.info() for agent in self.possible_agents}
-
-    def state_hash(self) -> str:
-        """Return the SHA-256 of the full integration state of the physics."""
-        return self.inner.state_hash()
-
-    def render(self) -> RgbImage | None:
-        """Return an image for people; None without a render mode."""
-        return self.inner.render()
-
-    def close(self) -> None:
-        """Free the resources of rendering."""
-        for observer in self._observers.values():
-            observer.close()
-        self.inner.close()

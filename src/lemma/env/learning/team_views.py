@@ -9,70 +9,31 @@ from pettingzoo import AECEnv, ParallelEnv
 
 from lemma.core.errors import ResetNeededError
 from lemma.env.action_spaces import Action, check_keys
-from lemma.env.learning.parallel_env import ParallelStep
-from lemma.env.observation import Observation, Observer
+from lemma.env.learning.parallel_env import Agents, ParallelStep
+from lemma.env.observation import Observation
 from lemma.env.team.team_env import TeamEnv
-from lemma.scene.cameras import RgbImage
 
 
-class _Agents:
-    """Common base of both environments: observations and infos by agent."""
+class _TeamAgents(Agents[TeamEnv]):
+    """Common base of both environments: orders and their masks by agent."""
 
     def __init__(self, inner: TeamEnv) -> None:
-        self.inner = inner
-        self.metadata = {
-            **inner.metadata,
-            "name": f"lemma/{inner.task}",
-            "is_parallelizable": False,
-        }
-        self.render_mode = inner.render_mode
-        self.possible_agents = list(inner.robot_names)
-        self.agents: list[str] = []
+        super().__init__(inner)
+        self.metadata["is_parallelizable"] = False
         self._action_spaces = {
             name: deepcopy(inner.order_space) for name in self.possible_agents
         }
-        config = inner.config
-        self._observers = {
-            name: Observer(
-                config.observation, (i,), config.image_size, kinds=config.kinds
-            )
-            for i, name in enumerate(self.possible_agents)
-        }
-
-    def observation_space(self, agent: str) -> spaces.Dict:
-        """Return the observation space of an agent: its joints and its own camera."""
-        return self._observers[agent].space
 
     def action_space(self, agent: str) -> spaces.Dict:
         """Return the action space of an agent: orders for its own robot."""
         return self._action_spaces[agent]
 
-    def observe(self, agent: str) -> Observation:
-        """Return the present observation of an agent."""
-        return self._observers[agent].observe(
-            self.inner.episode, self.inner.config.instruction
-        )
-
     def _infos_of(self, info: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         masks = self.inner.last_masks
         return {name: {**info, "action_mask": masks[name]} for name in masks}
 
-    def state_hash(self) -> str:
-        """Return the SHA-256 of the full integration state of the physics."""
-        return self.inner.state_hash()
 
-    def render(self) -> RgbImage | None:
-        """Return an image for people; None without a render mode."""
-        return self.inner.render()
-
-    def close(self) -> None:
-        """Free the resources of rendering."""
-        for observer in self._observers.values():
-            observer.close()
-        self.inner.close()
-
-
-class TeamParallelEnv(_Agents, ParallelEnv[str, Observation, Any]):
+class TeamParallelEnv(_TeamAgents, ParallelEnv[str, Observation, Any]):
     """All agents act at each decision; actions of busy agents are ignored.
 
     ``infos[agent]["action_mask"]`` fits ``action_space(agent).sample(mask=...)``; all
@@ -118,7 +79,7 @@ class TeamParallelEnv(_Agents, ParallelEnv[str, Observation, Any]):
         )
 
 
-class TeamAECEnv(_Agents, AECEnv[str, Observation, Any]):
+class TeamAECEnv(_TeamAgents, AECEnv[str, Observation, Any]):
     """Free agents act one after another; then time passes to the next decision.
 
     The mask of an agent does not account for orders that others gave before it.

@@ -11,7 +11,8 @@ import math
 from collections.abc import Collection
 from dataclasses import replace
 
-from lemma.core.errors import InvalidActionError, ResetNeededError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidActionError
 from lemma.env.episode import LEAST_STEP_S, Episode, ExecutedSubTask
 from lemma.env.team.records import Done, Order, TeamState, works_on
 from lemma.motion.leaving import ROOM_M
@@ -221,15 +222,8 @@ class Team:
         return self._end(Done(subtask.robot, subtask, None, result, start_s))
 
     def _check_free(self, robot: str) -> None:
-        if self.episode.is_over:
-            raise ResetNeededError(
-                f"The episode {self.episode.instance.key} is over. Reset before you "
-                "act again."
-            )
-        if robot not in self.episode.simulation.arms:
-            raise UnknownNameError(
-                "robot in this scene", robot, self.episode.simulation.arms
-            )
+        self.episode.check_running()
+        known("robot in this scene", robot, self.episode.simulation.arms)
         if robot not in self.free:
             raise InvalidActionError(
                 f"{robot} is busy. Orders are for free robots: "

@@ -107,6 +107,14 @@ class Result:
         """The training seed; 0 if nothing was trained."""
         return training_seed(self.about["weights"])
 
+    @property
+    def extents(self) -> Counter[tuple[str, str]]:
+        """Its numbers of episodes by kind of instruction and task."""
+        counted: Counter[tuple[str, str]] = Counter()
+        for cell in self.cells:
+            counted[cell.kind, cell.task] += cell.episodes
+        return counted
+
     def write(self, path: Path) -> None:
         """Write the result, with the same bytes for the same result.
 
@@ -197,9 +205,7 @@ def lines_of(result: Result, rows: Iterable[Row]) -> list[Row]:
 
     A folder that was evaluated more than once has further lines.
     """
-    counted: Counter[tuple[str, str]] = Counter()
-    for cell in result.cells:
-        counted[cell.kind, cell.task] += cell.episodes
+    counted = result.extents
     return [row for row in rows if row["index"] < counted[_question(row)]]
 
 

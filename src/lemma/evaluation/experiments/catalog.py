@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.arguments import known
 from lemma.policies.spec import PolicySpec
 from lemma.policies.training.config import DEFAULTS
 from lemma.tasks.instance import BENCHMARK_VERSION
@@ -221,10 +221,7 @@ def selected(name: str) -> list[Experiment]:
     """
     if name in EXPERIMENTS:
         return [EXPERIMENTS[name]]
-    if name not in (*SUITES, ALL):
-        raise UnknownNameError(
-            "experiment or suite", name, (*SUITES, ALL, *EXPERIMENTS)
-        )
+    known("experiment or suite", name, (*SUITES, ALL, *EXPERIMENTS))
     every = [EXPERIMENTS[each] for each in EXPERIMENTS]
     if name == ALL:
         return [one for one in every if one.suite not in (ABLATIONS, CONTROL_LEVEL)]

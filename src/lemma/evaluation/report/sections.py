@@ -3,7 +3,6 @@
 The numbers come from results alone; the text is in ``page.md``.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -216,7 +215,7 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
     split = about.get("split", "test")
     benchmark = about.get("benchmark", BENCHMARK_VERSION)
     text = f"Split `{split}` of benchmark `{benchmark}`: "
-    counts = [count for result in results for count in _extents(result).values()]
+    counts = [count for result in results for count in result.extents.values()]
     whole = not results or any(_is_whole(result) for result in results)
     if whole:
         text += f"{SPLITS[split]} episodes of each of the eight tasks"
@@ -232,7 +231,7 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
             f". Some rows, or some of their seeds, are of fewer: the table {where} "
             "says of how many"
         )
-    if any({task for _, task in _extents(one)} != set(SUITE) for one in results):
+    if any({task for _, task in one.extents} != set(SUITE) for one in results):
         text += f". {PARTIAL} marks a mean over other tasks than the suite's eight"
     return f"{text}.{_older_words(results, benchmark)}"
 
@@ -255,7 +254,7 @@ def sample_words(entries: Sequence[PolicyResults]) -> str:
     parts = [r for entry in entries for r in entry.results if not _is_whole(r)]
     if not parts:
         return ""
-    counts = [count for result in parts for count in _extents(result).values()]
+    counts = [count for result in parts for count in result.extents.values()]
     words = _part_words(tasks_of(entries), counts, parts[0].about["split"])
     some = any(_is_whole(result) for entry in entries for result in entry.results)
     return f"**{'Some rows are of a sample' if some else 'A sample'}:** {words}."
@@ -285,14 +284,6 @@ def _kind_words(results: Iterable[Result]) -> str:
     return " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)
 
 
-def _extents(result: Result) -> dict[tuple[str, str], int]:
-    """Return the episodes of a result by kind and task."""
-    counted: Counter[tuple[str, str]] = Counter()
-    for cell in result.cells:
-        counted[cell.kind, cell.task] += cell.episodes
-    return dict(counted)
-
-
 def _wanted(result: Result) -> tuple[str, ...]:
     """Return the tasks of a complete result."""
     name = result.experiment
@@ -301,7 +292,7 @@ def _wanted(result: Result) -> tuple[str, ...]:
 
 def _is_whole(result: Result) -> bool:
     """Return whether a result has all episodes of all its tasks."""
-    found = _extents(result)
+    found = result.extents
     every = SPLITS.get(result.about["split"])
     kinds = {kind for kind, _ in found}
     # A sampled split has no fixed number of episodes.
@@ -312,7 +303,7 @@ def _is_whole(result: Result) -> bool:
 
 def _extent(result: Result) -> str:
     """Return the number of episodes of a result, and the full number if it is less."""
-    found = _extents(result)
+    found = result.extents
     episodes = sum(found.values())
     split = result.about["split"]
     if _is_whole(result) or split not in SPLITS:

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.team_scores import CAUSES, TeamScores
-
-_NOTHING = "–"
+from lemma.evaluation.report.policy_results import NOTHING
 
 
 def team_table(scores: Sequence[TeamScores]) -> Table:
@@ -30,4 +29,4 @@ def team_table(scores: Sequence[TeamScores]) -> Table:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return _NOTHING if value is None else f"{value:.{digits}f}"
+    return NOTHING if value is None else f"{value:.{digits}f}"

@@ -105,6 +105,25 @@ def read_at(features: Tensor, numbers: Tensor) -> Tensor:
     return flat.gather(2, index).transpose(1, 2)
 
 
+def read_finer(features: Tensor, numbers: Tensor, columns: int, finer: int) -> Tensor:
+    """Return the features of finer cells, and which part of a coarse cell each is.
+
+    Args:
+        features: (B, C, rows, columns) of coarse cells.
+        numbers: Fine cells, (B, K).
+        columns: Number of columns of fine cells.
+        finer: Fine cells along a side of a coarse one.
+
+    Returns:
+        (B, K, C + finer**2).
+    """
+    row, column = numbers // columns, numbers % columns
+    coarse = (row // finer) * features.shape[-1] + column // finer
+    part = (row % finer) * finer + column % finer
+    found = read_at(features, coarse)
+    return torch.cat([found, F.one_hot(part, finer**2).to(found.dtype)], -1)
+
+
 def wrapped(angle: Tensor) -> Tensor:
     """Return angles [rad] in [-pi, pi)."""
     return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
@@ -145,6 +164,23 @@ def nearest_bins(yaw: Tensor, bins: int) -> tuple[Tensor, Tensor]:
 def yaw_of(bin_number: Tensor, residual: Tensor, bins: int) -> Tensor:
     """Return the yaw [rad] of a bin and a residual; see :func:`nearest_bins`."""
     return wrapped((bin_number + residual) * (2 * math.pi / bins))
+
+
+def pose_in(
+    cells: Cells, numbers: Tensor, offsets: Tensor, yaws: Tensor, residuals: Tensor
+) -> Tensor:
+    """Return the pose in one cell per image: x, y [m] and yaw [rad], (B, 3).
+
+    Args:
+        cells: The cells.
+        numbers: Numbers of the cells, (B, 1).
+        offsets: Offsets in them, (B, 1, 2).
+        yaws: Logits of the bins of yaw, (B, 1, bins).
+        residuals: Residual of each bin in widths of a bin, (B, 1, bins).
+    """
+    best = yaws.argmax(-1, keepdim=True)
+    yaw = yaw_of(best, residuals.gather(-1, best), yaws.shape[-1])
+    return torch.cat([cells.positions(numbers, offsets), yaw], -1)[:, 0]
 
 
 def crop_about(

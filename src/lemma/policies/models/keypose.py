@@ -23,25 +23,27 @@ from torch.nn import functional as F
 
 from lemma.core.arguments import Count, Depth, Share, Width, Widths
 from lemma.env.control.key_poses import KINDS, KeyPose
-from lemma.policies.batch import MAX_PAST, Batch
+from lemma.env.view import View
+from lemma.policies.batch import Batch
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.policies.control.moving import KEY_POSE_OPTIONS, Moving
+from lemma.policies.interfaces import PolicyInput
 from lemma.policies.layers import Network, ResidualBlock, upsample_to
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.cliport.networks import (
+    FINER,
     IMAGE_CHANNELS,
-    STRIDE,
     Encoder,
+    FiLM,
     image_of,
+    pick_cells,
     reader,
 )
-from lemma.policies.models.grid import Cells, nearest_bins, read_at, wrapped, yaw_of
+from lemma.policies.models.grid import nearest_bins, pose_in, read_finer, wrapped
 from lemma.policies.text.encoder import Sentences, TextConfig, TextEncoder
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.raster import Raster
 
-_FINER = 2
-"""Cells of the output along a side of a cell of features."""
 _LOUDNESS = 2.0
 _ROBOT_NUMBERS = 8
 """Inputs per robot: six joint angles, opening, and whether it holds an object."""
@@ -70,27 +72,12 @@ class KeyPoseConfig(MapConfig):
     """Number of robots of every scene."""
 
 
-class _Tuned(nn.Module):
-    """FiLM: scales and shifts channels by a vector."""
-
-    def __init__(self, vector_width: int, width: int) -> None:
-        super().__init__()
-        self.linear = nn.Linear(vector_width, 2 * width)
-        with torch.no_grad():
-            self.linear.weight.mul_(_LOUDNESS)
-
-    def forward(self, x: Tensor, vector: Tensor) -> Tensor:
-        scale, shift = self.linear(vector)[:, :, None, None].chunk(2, 1)
-        found: Tensor = x * (1.0 + scale) + shift
-        return found
-
-
 class _Decoder(Network):
     """Decodes to 1/4 of the resolution, conditioned on a vector."""
 
     def __init__(self, widths: Sequence[int], vector_width: int) -> None:
         super().__init__()
-        self.tuned = nn.ModuleList(_Tuned(vector_width, w) for w in widths)
+        self.tuned = nn.ModuleList(FiLM(vector_width, w, _LOUDNESS) for w in widths)
         self.deep = ResidualBlock(widths[-1], widths[-1])
         self.coarse, self.skips = nn.ModuleList(), nn.ModuleList()
         self.blocks = nn.ModuleList()
@@ -170,10 +157,10 @@ class KeyPoseModel(MapModel):
         self.heat = nn.Sequential(
             nn.Conv2d(width, width, 3, padding=1),
             nn.SiLU(),
-            nn.Conv2d(width, _FINER**2, 1),
+            nn.Conv2d(width, FINER**2, 1),
         )
         self._outputs = [2, 1, config.bins, config.bins, config.robots, len(KINDS)]
-        inputs = width + _FINER**2 + config.widths[-1] + vector
+        inputs = width + FINER**2 + config.widths[-1] + vector
         self.read = reader(inputs, sum(self._outputs))
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
@@ -189,28 +176,23 @@ class KeyPoseModel(MapModel):
         vector = torch.cat([sentence, self.state(_state_of(batch))], 1)
         image = image_of(batch).contiguous(memory_format=torch.channels_last)
         features, context = self.decoder(self.encoder(image), vector)
-        maps = F.pixel_shuffle(self.heat(features), _FINER)
+        maps = F.pixel_shuffle(self.heat(features), FINER)
         known = torch.cat([context, vector.to(context.dtype)], 1)
         return _Seen(maps.flatten(1).float(), features, known)
 
     def at(self, seen: _Seen, numbers: Tensor, raster: Raster) -> _CellPredictions:
         """Return the predictions for some cells, (B, K)."""
-        columns = cells_of(raster).columns
-        row, column = numbers // columns, numbers % columns
-        coarse = (row // _FINER) * seen.features.shape[-1] + column // _FINER
-        part = (row % _FINER) * _FINER + column % _FINER
-        features = read_at(seen.features, coarse)
-        which = F.one_hot(part, _FINER**2).to(features.dtype)
+        columns = pick_cells(raster).columns
+        read = read_finer(seen.features, numbers, columns, FINER)
         vector = seen.vector[:, None].expand(-1, numbers.shape[1], -1)
-        parts = [features, which, vector.to(features.dtype)]
-        found = self.read(torch.cat(parts, -1)).float()
+        found = self.read(torch.cat([read, vector.to(read.dtype)], -1)).float()
         return _CellPredictions(*found.split(self._outputs, -1))
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the losses of the cell and of the predictions for it."""
         pose, kind, height_m, robot = _labels(batch)
         seen = self.look(batch)
-        cells = cells_of(batch.raster)
+        cells = pick_cells(batch.raster)
         numbers = cells.holding(pose[:, :2])
         near = cells.around(numbers)
         predicted = self.at(seen, near, batch.raster)
@@ -273,11 +255,9 @@ class KeyPoseModel(MapModel):
         seen = self.look(batch)
         numbers = seen.logits.argmax(1, keepdim=True)
         predicted = self.at(seen, numbers, batch.raster)
-        xy = cells_of(batch.raster).positions(numbers, predicted.offsets)
-        best = predicted.yaws.argmax(-1, keepdim=True)
-        yaw = yaw_of(best, predicted.residuals.gather(-1, best), self.config.bins)
+        in_cell = predicted.offsets, predicted.yaws, predicted.residuals
         return (
-            torch.cat([xy, yaw], -1)[:, 0],
+            pose_in(pick_cells(batch.raster), numbers, *in_cell),
             predicted.kinds[:, 0].argmax(-1),
             predicted.height[:, 0, 0] * _HEIGHT_UNIT_M,
             predicted.robots[:, 0].argmax(-1),
@@ -289,46 +269,23 @@ class KeyPoseModel(MapModel):
             Moving.of(control_input, control_input.memory) for control_input in inputs
         ]
         resting = [i for i, one in enumerate(moving) if one.rows is None]
+        seen = [_seen_by(inputs[i]) for i in resting]
+        found: list[tuple[Any, ...]] = []
         with self.deciding():
-            for start in range(0, len(resting), self.at_once):
-                rows = resting[start : start + self.at_once]
-                found = self.decide(self._batch([inputs[i] for i in rows]))
-                predictions = zip(*(part.tolist() for part in found), strict=True)
-                for i, ((x, y, yaw), kind, z, robot) in zip(
-                    rows, predictions, strict=True
-                ):
-                    key = KeyPose(robot, KINDS[kind], x, y, z, yaw)
-                    moving[i] = moving[i].towards(key)
+            for batch in self.batches(seen):
+                parts = (part.tolist() for part in self.decide(batch))
+                found += zip(*parts, strict=True)
+        for i, ((x, y, yaw), kind, z, robot) in zip(resting, found, strict=True):
+            moving[i] = moving[i].towards(KeyPose(robot, KINDS[kind], x, y, z, yaw))
         return [one.actions(one.progress) for one in moving]
 
-    def _batch(self, inputs: Sequence[ControlInput]) -> Batch:
-        seen = [control_input.observation for control_input in inputs]
 
-        def stacked(values: list[Any], dtype: torch.dtype) -> Tensor:
-            return torch.from_numpy(np.stack(values)).to(self.device, dtype)
-
-        maps = [each["map"] for each in seen]
-        robots = self.config.robots
-        joints = stacked([each["agent_pos"] for each in seen], torch.float32)
-        joints = joints.view(len(inputs), robots, 7)
-        rows, columns = maps[0]["height_m"].shape
-        past = torch.full((len(inputs), MAX_PAST, 4), -1, device=self.device)
-        return Batch(
-            rgb=stacked([m["rgb"] for m in maps], torch.uint8),
-            height_m=stacked([m["height_m"] for m in maps], torch.float32),
-            coverage=stacked([m["coverage"] for m in maps], torch.bool),
-            joints=joints[..., :6],
-            opening_m=joints[..., 6],
-            past=past,
-            instructions=[control_input.instruction for control_input in inputs],
-            sub_instructions=[],
-            raster=Raster(rows, columns, self.config.cell_m, self.config.floor_m),
-        )
-
-
-def cells_of(raster: Raster) -> Cells:
-    """Return the cells of the output."""
-    return Cells.of(raster, STRIDE // _FINER)
+def _seen_by(control_input: ControlInput) -> PolicyInput:
+    seen = control_input.observation
+    joints, maps = np.reshape(seen["agent_pos"], (-1, 7)), seen["map"]
+    fused = maps["rgb"], maps["height_m"], maps["coverage"]
+    view = View(*fused, joints[:, :6], joints[:, 6])
+    return PolicyInput(control_input.instruction, control_input.robots, view)
 
 
 def _state_of(batch: Batch) -> Tensor:

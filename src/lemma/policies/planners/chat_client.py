@@ -15,7 +15,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from html import escape
-from ipaddress import ip_address
 from pathlib import Path
 from threading import BoundedSemaphore
 from typing import Any
@@ -27,6 +26,7 @@ from filelock import FileLock, Timeout
 
 from lemma.core.arguments import (
     check_address_has_no_secret,
+    is_loopback,
     secret_of,
     without_passwords,
 )
@@ -119,7 +119,7 @@ class ChatServer:
         digest = sha256(f"{user} {base_url}".encode()).hexdigest()[:16]
         self._locks = f"lemma-chat-{digest}"
         host = urlsplit(base_url).hostname or ""
-        proxies = (ProxyHandler({}),) if _is_loopback(host) else ()
+        proxies = (ProxyHandler({}),) if is_loopback(host) else ()
         self._opener = build_opener(_NoRedirects, *proxies)
 
     def ask(self, request: Mapping[str, Any]) -> Reply:
@@ -316,13 +316,6 @@ def _without(secret: str, text: str) -> str:
     for spelling in sorted(spellings, key=len, reverse=True):
         text = text.replace(spelling, "***")
     return text
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _read_all(response: http.client.HTTPResponse, late: float) -> bytes:

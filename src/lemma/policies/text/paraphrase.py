@@ -95,7 +95,6 @@ def paraphrase(
     goal_pairs: GoalPairs,
     rng: np.random.Generator,
     chances: Mapping[str, float] = CHANCES,
-    taught: Sequence[Template] = (),
     rules: Grammar | None = None,
 ) -> str:
     """Return an instruction for a goal, recombined from training templates.
@@ -105,42 +104,39 @@ def paraphrase(
         goal_pairs: The (top, bottom) pairs of entities.
         rng: Random generator.
         chances: Probabilities of the changes, as :data:`CHANCES`.
-        taught: Templates to use; all training templates if empty.
         rules: Grammar of the sentences without a template; that of the package if None.
     """
-    used = tuple(taught) or None
     # A hand has no noun, and the grammar does not cover it: only add noise.
     held = any(HAND in pair for pair in goal_pairs)
-    if not (used or held) and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
+    if not held and rng.random() < chances["ruled"] and speaks_of(goal_pairs):
         text = _ruled(goal_pairs, rng, rules or grammar())
         return noisy(text, rng, {**chances, "swapped": 0.4 * chances["swapped"]})
     count = len(goal_pairs)
     if held or rng.random() < chances["native"]:
-        text = _one(_own(task, used), rng).render(goal_pairs)
+        text = one_of(_own(task), rng).render(goal_pairs)
     elif count > 2 or (count == 2 and rng.random() < 0.5):
-        short = _sentences(1, used, _SHORT)
+        short = _sentences(1, _SHORT)
         text, *more = [
-            _say(_one(short, rng), (pair,), rng, chances) for pair in goal_pairs
+            _say(one_of(short, rng), (pair,), rng, chances) for pair in goal_pairs
         ]
         for one in more:
-            text = text.rstrip(".") + _one(_JOINTS, rng) + one
+            text = text.rstrip(".") + one_of(_JOINTS, rng) + one
     else:
-        fitting = _sentences(len(goal_pairs), used)
-        text = _say(_one(fitting, rng), goal_pairs, rng, chances)
+        fitting = _sentences(len(goal_pairs))
+        text = _say(one_of(fitting, rng), goal_pairs, rng, chances)
     kept = [
         clause
         for clause in _clauses(text)
         if any(word in OBJECT_COLORS for word in words(clause))
         or rng.random() >= chances["clause_dropped"]
     ]
-    pool = _fillers(used)
-    if pool and rng.random() < chances["clause_added"]:
-        clause = _one(pool, rng)
+    if rng.random() < chances["clause_added"]:
+        clause = one_of(_fillers(), rng)
         kept.insert(0 if rng.random() < 0.5 else len(kept), clause)
     return noisy(", ".join(kept), rng, chances)
 
 
-def _one(options: Sequence[T], rng: np.random.Generator) -> T:
+def one_of(options: Sequence[T], rng: np.random.Generator) -> T:
     """Return one of several options, with equal probability."""
     return options[int(rng.integers(len(options)))]
 
@@ -180,7 +176,7 @@ def _say(
     if rng.random() < chances["fronted"]:
         sentence = _fronted(sentence)
     # Most sentences use one noun per role.
-    nouns = {role: _one(entity.kind.nouns, rng) for role, entity in entities.items()}
+    nouns = {role: one_of(entity.kind.nouns, rng) for role, entity in entities.items()}
     text, mentioned = sentence.pieces[0], set()
     mentions = zip(sentence.roles, sentence.said, sentence.pieces[1:], strict=True)
     for role, said, piece in mentions:
@@ -191,7 +187,7 @@ def _say(
             forms = [f"{color} {noun}"] * 6
             forms += [f"{noun} that is {color}", f"{color} coloured {noun}"]
             forms += [f"{color} one"] * (2 if role in mentioned else 0)
-            said = _one(forms, rng)
+            said = one_of(forms, rng)
         text += said.replace("*", color) + piece
         mentioned.add(role)
     return text
@@ -209,7 +205,7 @@ def _turned(sentence: _Sentence, rng: np.random.Generator, chance: float) -> _Se
         for j, pattern, on in ((i, _RELATION, upright), (i - 1, _FRONT, not upright)):
             found = pattern.search(pieces[j])
             if found and on is bool(found["on"]) and rng.random() < chance:
-                other = _one(_UNDER if on else _ON, rng)
+                other = one_of(_UNDER if on else _ON, rng)
                 start, end = found.span("relation")
                 pieces[j] = pieces[j][:start] + other + pieces[j][end:]
                 roles[i - 1 : i + 1] = second, first
@@ -258,28 +254,25 @@ def _clauses(text: str) -> list[str]:
 
 
 @cache
-def _own(task: str, used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+def _own(task: str) -> tuple[Template, ...]:
     """Return a task's templates, with its high-level one repeated as three entries."""
     bank = bank_for(task)
-    found = (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
-    return tuple(t for t in found if used is None or t in used)
+    return (*bank.human, *bank.high_level, *bank.high_level, *bank.high_level)
 
 
 @cache
-def _sentences(
-    pairs: int, used: tuple[Template, ...] | None, longest: int = 99
-) -> tuple[_Sentence, ...]:
+def _sentences(pairs: int, longest: int = 99) -> tuple[_Sentence, ...]:
     found = {
         template.text: _parsed(template)
-        for template in _all(used)
+        for template in _all()
         if len(template.roles) == pairs and len(words(template.text)) <= longest
     }
     return tuple(found.values())
 
 
-def _all(used: tuple[Template, ...] | None) -> tuple[Template, ...]:
+def _all() -> tuple[Template, ...]:
     banks = [bank_for(task) for task in SUITE]
-    return used or tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
+    return tuple(t for bank in banks for t in (*bank.high_level, *bank.human))
 
 
 def _parsed(template: Template) -> _Sentence:
@@ -298,7 +291,7 @@ def _parsed(template: Template) -> _Sentence:
 
 
 @cache
-def _fillers(used: tuple[Template, ...] | None) -> tuple[str, ...]:
-    texts = [SLOT.sub("*", template.text) for template in _all(used)]
+def _fillers() -> tuple[str, ...]:
+    texts = [SLOT.sub("*", template.text) for template in _all()]
     clauses = {clause for text in texts for clause in _clauses(text)}
     return tuple(sorted(clause for clause in clauses if "*" not in clause))

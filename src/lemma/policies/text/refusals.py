@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from lemma.policies.text.paraphrase import CHANCES, noisy
+from lemma.policies.text.paraphrase import CHANCES, noisy, one_of
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.objects.pad import PAD
@@ -98,11 +98,11 @@ class RefusalBank:
         """
         while found := _CHOICE.search(line):
             start, end = found.span()
-            line = line[:start] + _one(found[1].split("|"), rng) + line[end:]
-        line = _RULE.sub(lambda found: _one(self.rules[found[1]], rng), line)
+            line = line[:start] + one_of(found[1].split("|"), rng) + line[end:]
+        line = _RULE.sub(lambda found: one_of(self.rules[found[1]], rng), line)
         slots = _slots(rng, goal) | {
-            "x": _one(self.colors, rng),
-            "y": _one(self.things, rng),
+            "x": one_of(self.colors, rng),
+            "y": one_of(self.things, rng),
         }
         return _SLOT.sub(lambda found: slots[found[1]], line)
 
@@ -119,11 +119,11 @@ class RefusalBank:
         """
         goal: GoalPairs = ()
         if rng.random() < _ORDERS:
-            number, line = -1, _one(self.orders[_one(tuple(self.orders), rng)], rng)
+            number, line = -1, one_of(self.orders[one_of(tuple(self.orders), rng)], rng)
             goal = goal_for(line, rng)
         else:
-            reason = _one(_DRAWN, rng)
-            number, line = REASON_NAMES.index(reason), _one(self.refused[reason], rng)
+            reason = one_of(_DRAWN, rng)
+            number, line = REASON_NAMES.index(reason), one_of(self.refused[reason], rng)
         text = self.render(line, rng, goal)
         return (text if plain else noisy(text, rng, _CHANCES)), goal, number
 
@@ -178,10 +178,6 @@ def goal_for(line: str, rng: np.random.Generator) -> GoalPairs:
     )
 
 
-def _one(options: Sequence[str], rng: np.random.Generator) -> str:
-    return options[int(rng.integers(len(options)))]
-
-
 def _slots(rng: np.random.Generator, goal: GoalPairs) -> dict[str, str]:
     """Return a text for each slot; entities of one kind have different colors."""
     cubes = rng.permutation(list(BENCHMARK_COLORS)).tolist()
@@ -202,9 +198,9 @@ def _slots(rng: np.random.Generator, goal: GoalPairs) -> dict[str, str]:
         found["a"] = _named(another, lower.kind.nouns, rng)
         if rng.random() < 0.3:
             # "Not on the blue one."
-            found["a"] = _one(_BARE, rng).format(c=another)
+            found["a"] = one_of(_BARE, rng).format(c=another)
     return found
 
 
 def _named(color: str, nouns: Sequence[str], rng: np.random.Generator) -> str:
-    return _one(_FORMS, rng).format(c=color, n=_one(nouns, rng))
+    return one_of(_FORMS, rng).format(c=color, n=one_of(nouns, rng))

@@ -14,8 +14,8 @@ is at least ``h * damping / 0.9`` at a time step of ``h`` = 5 ms.
 
 import math
 
+from lemma.core.arguments import known
 from lemma.core.engine import mujoco
-from lemma.core.errors import UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.robots.geometry import (
     DARK,
@@ -66,8 +66,7 @@ def add_arm(
     Raises:
         UnknownNameError: No robot has that color.
     """
-    if color not in COLORS:
-        raise UnknownNameError("robot color", color, COLORS)
+    known("robot color", color, COLORS)
     spec.compiler.degree = False
     half = 0.5 * base.yaw
     body = spec.worldbody.add_body(

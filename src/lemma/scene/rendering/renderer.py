@@ -125,7 +125,6 @@ class Renderer:
             if isinstance(camera, str)
             else camera
         )
-        self._check_size(calibrated)
         rgb = np.empty((self.height, self.width, 3), np.uint8)
         buffer = np.empty((self.height, self.width), np.float32)
         scene = self._draw(model, data, camera, rgb, buffer)
@@ -154,8 +153,6 @@ class Renderer:
             InvalidConfigError: The camera has another image size.
             RenderingError: OpenGL does not work here.
         """
-        if isinstance(view, Camera):
-            self._check_size(view)
         factor = self.quality.oversampling
         pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
         self._draw(model, data, view, pixels, None)
@@ -184,8 +181,6 @@ class Renderer:
             InvalidConfigError: The camera has another image size.
             RenderingError: OpenGL does not work here.
         """
-        if isinstance(view, Camera):
-            self._check_size(view)
         factor = self.quality.oversampling
         pixels = np.empty((self.height * factor, self.width * factor, 3), np.uint8)
         scene = self._draw(model, data, view, pixels, None, segment=True)
@@ -267,6 +262,7 @@ class Renderer:
             return None
         aim.type = mujoco.mjtCamera.mjCAMERA_FREE.value
         if isinstance(view, Camera):
+            self._check_size(view)
             return None
         aim.lookat[:] = view.lookat
         aim.distance = view.distance

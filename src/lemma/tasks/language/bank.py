@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
@@ -239,8 +240,7 @@ def sub_instruction(
         InvalidConfigError: An entity that the primitive needs is missing.
     """
     lines = _sub_instructions()
-    if primitive not in primitive_names():
-        raise UnknownNameError("primitive", primitive, primitive_names())
+    known("primitive", primitive, primitive_names())
     if primitive == "stop":
         return lines["stop"]
     added = added_phrase(primitive)

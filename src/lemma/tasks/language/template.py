@@ -11,7 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError
 from lemma.scene.objects.entity import HAND, Entity, entity_named
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS, OBJECT_COLORS
@@ -136,19 +137,17 @@ class Template:
         entities: dict[str, Entity] = {}
         for roles, pair in zip(self.roles, goal_pairs, strict=True):
             for role, entity in zip(roles, pair, strict=True):
-                if HAND in (entity, self._kind(role)):
-                    if entity != self._kind(role):
-                        raise self._error(
-                            f"its {role!r} is a {self._kind(role)}, but the goal has "
-                            f"{entity!r} there. Use a template of the goal's own task"
-                        )
-                    continue
-                found = entities[role] = entity_named(entity)
-                same = found == entities[self._resolved(role)[0]]
-                if not same or self._kind(role) not in (None, found.kind.name):
+                kind = self._kind(role)
+                if HAND in (entity, kind):
+                    fits = entity == kind
+                else:
+                    found = entities[role] = entity_named(entity)
+                    fits = found == entities[self._resolved(role)[0]]
+                    fits = fits and kind in (None, found.kind.name)
+                if not fits:
                     raise self._error(
-                        f"its {role!r} is a {self._kind(role)}, but the goal has "
-                        f"{entity!r} there. Use a template of the goal's own task"
+                        f"its {role!r} is a {kind}, but the goal has {entity!r} there. "
+                        "Use a template of the goal's own task"
                     )
 
         def fill(slot: re.Match[str]) -> str:
@@ -330,8 +329,7 @@ class LanguageBank:
         Raises:
             UnknownNameError: ``kind`` is not one of :data:`KINDS`.
         """
-        if kind not in KINDS:
-            raise UnknownNameError("kind of instruction", kind, KINDS)
+        known("kind of instruction", kind, KINDS)
         found: tuple[Template, ...] = getattr(self, kind)
         return found
 

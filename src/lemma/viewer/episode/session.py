@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError, shown
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.poses import Pose2
 from lemma.evaluation.run.control import ControlPlayer, load_player
 from lemma.evaluation.run.loading import weights_of
@@ -155,8 +156,7 @@ class Session:
         self.ask(replace(self.play.request, own=None), acts=False)
 
     def _check(self, request: EpisodeRequest) -> None:
-        if request.policy not in self.policies:
-            raise UnknownNameError("policy", request.policy, self.policies)
+        known("policy", request.policy, self.policies)
 
     def restart(self) -> None:
         """Set the same table again, and act again if the last play acted."""

@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from lemma.core.errors import InvalidConfigError, UnknownNameError
+from lemma.core.arguments import known
+from lemma.core.errors import InvalidConfigError
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.spec import ORACLE
 from lemma.tasks.instance import SPLITS, Instance
@@ -47,9 +48,7 @@ class EpisodeRequest:
             UnknownNameError: No such split.
             InvalidConfigError: The sentence is too long.
         """
-        splits = (*SPLITS, FREE_SPLIT)
-        if self.split not in splits:
-            raise UnknownNameError("split", self.split, splits)
+        known("split", self.split, (*SPLITS, FREE_SPLIT))
         if len(self.text) > LONGEST:
             raise InvalidConfigError(
                 f"The sentence has {len(self.text)} characters. Use at most {LONGEST}."

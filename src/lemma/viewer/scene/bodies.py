@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray, Pose2
+from lemma.scene.objects.bodies import resting_quaternion
 from lemma.scene.objects.entity import entity_named
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
@@ -193,8 +194,7 @@ def _put(by: Pose2, pose: FloatArray) -> FloatArray:
     found = np.empty(7)
     at = by @ Pose2(float(pose[0]), float(pose[1]))
     found[:3] = at.x, at.y, pose[2]
-    half = by.yaw / 2.0
-    turn = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+    turn = np.array(resting_quaternion(by.yaw))
     mujoco.mju_mulQuat(found[3:], turn, pose[3:])
     return found
 

@@ -9,6 +9,7 @@ import numpy as np
 import viser
 
 from lemma.core.poses import FloatArray, Pose2
+from lemma.scene.objects.bodies import resting_quaternion
 from lemma.scene.scene import Scene
 from lemma.viewer.scene.bodies import Bodies
 
@@ -132,12 +133,11 @@ class Dragging:
             )
             self._handles.on_update(self._turned)
         pose = self._now(self._selected)
-        half = pose.yaw / 2.0
         with self._server.atomic():
             is_robot = self._selected in self._bases
             self._handles.scale = _ROBOT_SCALE if is_robot else _HANDLES_SCALE
             self._handles.position = (pose.x, pose.y, 0.02)
-            self._handles.wxyz = (math.cos(half), 0.0, 0.0, math.sin(half))
+            self._handles.wxyz = resting_quaternion(pose.yaw)
             self._handles.visible = True
 
     async def _turned(self, event: Any) -> None:

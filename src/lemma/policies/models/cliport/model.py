@@ -40,7 +40,13 @@ from lemma.policies.models.cliport.networks import (
     pick_cells,
     place_cells,
 )
-from lemma.policies.models.grid import nearest_bins, read_at, wrapped, yaw_of
+from lemma.policies.models.grid import (
+    nearest_bins,
+    pose_in,
+    read_at,
+    wrapped,
+    yaw_of,
+)
 from lemma.policies.text.encoder import Sentences, TextConfig, TextEncoder
 from lemma.scene.raster import Raster
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
@@ -121,10 +127,8 @@ class PickAndPlace(MapModel):
         """Return the best pick poses, (B, 3), and their cells, (B,)."""
         numbers = seen.logits.argmax(1, keepdim=True)
         offsets, yaws, residuals = self.pick.at(seen, numbers)
-        best = yaws.argmax(-1, keepdim=True)
-        xy = pick_cells(raster).positions(numbers, offsets)
-        yaw = yaw_of(best, residuals.gather(-1, best), self.pick.bins)
-        return torch.cat([xy, yaw], -1)[:, 0], numbers[:, 0]
+        pose = pose_in(pick_cells(raster), numbers, offsets, yaws, residuals)
+        return pose, numbers[:, 0]
 
     def placed(
         self, image: Tensor, sentence: Tensor, pick: Tensor, raster: Raster

@@ -40,6 +40,7 @@ from lemma.policies.models.grid import (
     correlate,
     crop_about,
     read_at,
+    read_finer,
     seen_from,
     turned,
     wrapped,
@@ -49,8 +50,8 @@ from lemma.scene.raster import Raster
 
 STRIDE = 4
 """Cells of the map along a side of a cell of features."""
-_FINER = 2
-"""Cells of the pick along a side of a cell of features."""
+FINER = 2
+"""Cells of a pick or key pose along a side of a cell of features."""
 IMAGE_CHANNELS = 8
 _SEMANTIC = 5
 _HEIGHT_SCALES_M = (0.3, 0.05)
@@ -179,17 +180,21 @@ class _Up(nn.Module):
         return found
 
 
-class _FiLM(nn.Module):
-    """Scale and shift channels by a sentence's vector."""
+class FiLM(nn.Module):
+    """Scale and shift channels by a vector, such as that of a sentence."""
 
-    def __init__(self, sentence_width: int, width: int) -> None:
+    def __init__(
+        self, vector_width: int, width: int, loudness: float = _LOUDNESS
+    ) -> None:
+        """Create the map from vectors to factors."""
         super().__init__()
-        self.linear = nn.Linear(sentence_width, 2 * width)
+        self.linear = nn.Linear(vector_width, 2 * width)
         with torch.no_grad():
-            self.linear.weight.mul_(_LOUDNESS)
+            self.linear.weight.mul_(loudness)
 
-    def forward(self, x: Tensor, sentence: Tensor) -> Tensor:
-        scale, shift = self.linear(sentence)[:, :, None, None].chunk(2, 1)
+    def forward(self, x: Tensor, vector: Tensor) -> Tensor:
+        """Return channels x (B, width, H, W), conditioned on a vector (B, ...)."""
+        scale, shift = self.linear(vector)[:, :, None, None].chunk(2, 1)
         found: Tensor = x * (1.0 + scale) + shift
         return found
 
@@ -221,13 +226,13 @@ class TwoStreams(Network):
         self.enter = nn.Conv2d(widths[-1], widths[-1], 1)
         self.spatial_ups = nn.ModuleList()
         self.semantic_ups = nn.ModuleList()
-        self.films = nn.ModuleList([_FiLM(sentence_width, widths[-1])])
+        self.films = nn.ModuleList([FiLM(sentence_width, widths[-1])])
         self.laterals = nn.ModuleList([_Lateral(widths[-1])])
         for level in reversed(range(len(widths) - 1)):
             width, coarser = widths[level], widths[level + 1]
             self.spatial_ups.append(_Up(coarser, width, width))
             self.semantic_ups.append(_Up(coarser, width, width))
-            self.films.append(_FiLM(sentence_width, width))
+            self.films.append(FiLM(sentence_width, width))
             self.laterals.append(_Lateral(width))
         self.width = widths[0]
         self.context_width = widths[-1]
@@ -293,8 +298,8 @@ Looked = tuple[Tensor, Tensor, Fit]
 
 
 def pick_cells(raster: Raster) -> Cells:
-    """Return the cells of the pick."""
-    return Cells.of(raster, STRIDE // _FINER)
+    """Return the cells of picks and key poses."""
+    return Cells.of(raster, STRIDE // FINER)
 
 
 def place_cells(raster: Raster) -> Cells:
@@ -314,15 +319,15 @@ class PickHead(nn.Module):
         self.maps = nn.Sequential(
             nn.Conv2d(width, width, 3, padding=1),
             nn.SiLU(),
-            nn.Conv2d(width, (1 + extra) * _FINER**2, 1),
+            nn.Conv2d(width, (1 + extra) * FINER**2, 1),
         )
-        self.read = reader(width + _FINER**2, 2 + 2 * config.bins)
+        self.read = reader(width + FINER**2, 2 + 2 * config.bins)
         self.bins = config.bins
 
     def forward(self, image: Tensor, sentence: Tensor) -> Attention:
         """Return logits and features of the image, (B, 8, rows, columns)."""
         features, context = self.streams(image, sentence)
-        maps = F.pixel_shuffle(self.maps(features), _FINER)
+        maps = F.pixel_shuffle(self.maps(features), FINER)
         return Attention(maps, features, context)
 
     def at(self, seen: Attention, numbers: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -337,12 +342,8 @@ class PickHead(nn.Module):
             and the residual of each bin in widths of a bin, (B, K, bins); float32.
         """
         columns = seen.maps.shape[-1]
-        row, column = numbers // columns, numbers % columns
-        coarse = (row // _FINER) * seen.features.shape[-1] + column // _FINER
-        part = (row % _FINER) * _FINER + column % _FINER
-        features = read_at(seen.features, coarse)
-        which = F.one_hot(part, _FINER**2).to(features.dtype)
-        found = self.read(torch.cat([features, which], -1)).float()
+        read = read_finer(seen.features, numbers, columns, FINER)
+        found = self.read(read).float()
         offsets, bins, residuals = found.split([2, self.bins, self.bins], -1)
         return offsets, bins, residuals
 

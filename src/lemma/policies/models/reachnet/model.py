@@ -51,6 +51,7 @@ from lemma.policies.models.reachnet.scene_table import (
     SceneTable,
     disturbed,
     needed_entities,
+    true_radii,
     true_table,
     turned,
     turned_numbers,
@@ -170,13 +171,7 @@ class ReachNet(MapModel):
         """Return the true radii, if the option ``reach`` allows them."""
         if self.config.reach != "simulator":
             return None
-        # A late import, because inference does not need the simulator.
-        from lemma.robots.reach import reach_of  # noqa: PLC0415
-        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
-
-        found = [reach_of(name) for name in ARMS]
-        radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
-        return constant(radii, self.device)[labels.arms]
+        return true_radii(labels.arms, self.device)
 
     def _reach_loss(
         self, seen: SceneTable, known: Tensor | None, labels: Labels, batch: Batch

@@ -217,11 +217,25 @@ class Perception(nn.Module):
         with torch.autocast(coarse.device.type, enabled=False):
             return self.table(marks, coarse, batch)
 
-    def table(self, marks: Marks, coarse: Tensor, batch: Batch) -> SceneTable:
-        """Return the scene tables of marks and coarse features."""
+    def table(
+        self,
+        marks: Marks,
+        coarse: Tensor,
+        batch: Batch,
+        named: Tensor | None = None,
+    ) -> SceneTable:
+        """Return the scene tables of marks and coarse features.
+
+        Args:
+            marks: Marks of the maps.
+            coarse: Coarse features of the maps.
+            batch: The maps.
+            named: Entities that are there even if they are hard to see, (B, E) bool.
+        """
         points, present = _read_points(marks, batch)
         count, cargo = len(self.entities), self.entities.cargo
         present, bases = present[:, :count], points[:, count + 1 :]
+        present = present if named is None else present | named
         xy = points[:, :count]
         cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
         fold = constant(_folds(self.entities), xy.device)

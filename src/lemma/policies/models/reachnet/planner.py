@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from lemma.core.arguments import Depth, Share, Width
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
-from lemma.policies.layers import TransformerLayer, constant, drawn
+from lemma.policies.layers import constant, drawn, mlp, planner_layers
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS, SceneTable
 from lemma.policies.models.reachnet.utility import SIGNS, DragUtility
 from lemma.tasks.subtask import SubTask
@@ -68,23 +68,13 @@ class ReachNetPlanner(nn.Module):
         super().__init__()
         self.config, self.robots, self.use_reach = config, robots, use_reach
         width = config.width
-        self.entity_in = _mlp(entity_feature_count(robots), width, width)
-        self.robot_in = _mlp(ROBOT_FEATURES, width, width)
+        self.entity_in = mlp(entity_feature_count(robots), width, width)
+        self.robot_in = mlp(ROBOT_FEATURES, width, width)
         self.whole = drawn(2, width)
         self.numbers = drawn(robots, width)
         self.past_in = nn.Linear(len(PRIMITIVES) + robots, width)
-        self.relation = _mlp(RELATIONS, 32, config.heads)
-        self.layers = nn.ModuleList(
-            TransformerLayer(
-                width,
-                config.heads,
-                4 * width,
-                config.dropout,
-                F.silu,
-                drops_hidden=False,
-            )
-            for _ in range(config.layers)
-        )
+        self.relation = mlp(RELATIONS, 32, config.heads)
+        self.layers = planner_layers(width, config.heads, config.dropout, config.layers)
         self.norm = nn.LayerNorm(width)
         self.move_pick, self.move_place, self.move_robot = (
             nn.Linear(width, width) for _ in range(3)
@@ -95,8 +85,8 @@ class ReachNetPlanner(nn.Module):
         self.tool_drag = nn.Linear(3 + 4, width)
         self.tool_kind = drawn(len(_TOOL_ROWS), width)
         self.tool_out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
-        self.hand_over = _mlp(2 * width, width, 1)
-        self.stop = _mlp(width, width, 1)
+        self.hand_over = mlp(2 * width, width, 1)
+        self.stop = mlp(width, width, 1)
         self.reach_sharpness = nn.Parameter(torch.tensor(math.log(50.0)))
         self.reach_weight = nn.Parameter(torch.tensor(0.0))
 
@@ -214,10 +204,6 @@ class ReachNetPlanner(nn.Module):
         moves = moves + logs[:, :cargo, None]
         moves = moves + F.pad(logs[:, None, :stick], (0, 0, 0, 1))
         return moves, tools + grip[:, None, None], hands + grip
-
-
-def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
 
 
 @cache

@@ -17,6 +17,7 @@ from lemma.core.poses import Pose2
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
 from lemma.policies.interfaces import SeenObject, SeenRobot
+from lemma.policies.layers import constant
 from lemma.scene.objects.kind import Part
 from lemma.scene.objects.stick import STICK_KIND
 from lemma.scene.raster import RASTER, Raster
@@ -205,6 +206,22 @@ def folded(yaw: Tensor, turn_rad: Tensor | float) -> Tensor:
     turn = torch.as_tensor(turn_rad, device=yaw.device)
     near = yaw - turn * torch.round(yaw / turn.clamp(min=_LEAST_RAD))
     return torch.where(turn > 0.0, near, 0.0)
+
+
+def true_radii(arms: Tensor, device: torch.device) -> Tensor:
+    """Return the true radii of arms, (B, R, 3) [m].
+
+    Args:
+        arms: Numbers of the arm types, (B, R).
+        device: Device of the result.
+    """
+    # A late import, because inference does not need the simulator.
+    from lemma.robots.reach import reach_of  # noqa: PLC0415
+    from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
+
+    found = [reach_of(name) for name in ARMS]
+    radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
+    return constant(radii, device)[arms]
 
 
 def true_table(

@@ -19,7 +19,6 @@ from torch.nn import functional as F
 from lemma.core.arguments import Cost, Depth
 from lemma.core.robot_names import robot_name
 from lemma.env.view import View
-from lemma.planning.schedule import predecessors
 from lemma.policies.batch import (
     NOBODY,
     Batch,
@@ -32,12 +31,19 @@ from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.perception import (
+    Marks,
     Perception,
     PerceptionConfig,
     reach_loss,
 )
-from lemma.policies.models.reachnet.scene_table import FAR_M, Noise, SceneTable
+from lemma.policies.models.reachnet.scene_table import (
+    FAR_M,
+    Noise,
+    SceneTable,
+    true_radii,
+)
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
+from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.planner import (
     TeamPlanner,
     TeamPlannerConfig,
@@ -77,6 +83,8 @@ _LONGEST = 16
 """Largest number of moves in a plan."""
 _MOST_FAILURES = 6
 _SUCCESS = "success"
+_UNSEEN = -6.0
+"""Change of the logit of a pair that is read but not seen."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,8 @@ class TeamReachNet(MapModel):
         self.eye = Perception(config.eye, ROBOTS, named)
         self.reader = TeamReader(config.reader, named)
         self.planner = TeamPlanner(config.planner)
-        self._seen: WeakKeyDictionary[View, SceneTable] = WeakKeyDictionary()
+        self._views: WeakKeyDictionary[View, tuple[Marks, Tensor, Batch]]
+        self._views = WeakKeyDictionary()
 
     @property
     def entities(self) -> EntitySet:
@@ -168,7 +177,7 @@ class TeamReachNet(MapModel):
         with torch.autocast(self.device.type, enabled=False):
             seen = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = torch.where(
-                team[..., None], self._radii(labels.arms), seen.detach()
+                team[..., None], true_radii(labels.arms, self.device), seen.detach()
             )
             scene = true_scene(labels, seen, batch.raster, batch.entities)
             terms |= self.eye.losses(marks, scene, batch)
@@ -183,16 +192,6 @@ class TeamReachNet(MapModel):
                 truth, perceived, read, wanted, tensors["move"]
             )
         return terms
-
-    def _radii(self, arms: Tensor) -> Tensor:
-        """Return the true radii of arms, (B, R, 3) [m]."""
-        # A late import, because inference does not need the simulator.
-        from lemma.robots.reach import reach_of  # noqa: PLC0415
-        from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
-
-        found = [reach_of(name) for name in ARMS]
-        radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
-        return constant(radii, self.device)[arms]
 
     def _reach_loss(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
         sides = constant((batch.raster.columns, batch.raster.rows), self.device)
@@ -246,7 +245,7 @@ class TeamReachNet(MapModel):
             truth = true_table(
                 labels.objects,
                 labels.bases,
-                self._radii(labels.arms),
+                true_radii(labels.arms, self.device),
                 team,
                 weak,
                 batch.entities,
@@ -295,16 +294,9 @@ class TeamReachNet(MapModel):
                 todo.remove(known)
         if not todo:
             return Orders() if given.doing else Orders((Decision(STOP, None),))
-        orders, waiting = list[Decision](), set(todo)
-        needs = predecessors(steps, REGIONS, rule)
-        free = set(given.free)
-        for k in todo:
-            robot = steps[k].robot
-            if robot in free and not waiting & needs[k].keys():
-                orders.append(Decision(steps[k], None))
-                waiting.remove(k)
-            free.discard(robot)
-        return Orders(tuple(orders))
+        ended = [step.subtask for step in given.past]
+        found = next_orders(steps, todo, given.free, ended, rule)
+        return Orders(tuple(Decision(steps[k], None) for k in found))
 
     def _planned(
         self, given: PolicyInput, view: View, most: int
@@ -318,8 +310,7 @@ class TeamReachNet(MapModel):
         """
         team = distinct([name.split()[-2] for name in given.robots])
         with self.deciding():
-            scene = self._look(given, view, team)
-            table, read = scene
+            table, read = self._look(given, view, team)
             cargo, targets = self.entities.cargo, self.entities.stick
             steps: list[SubTask] = []
             cost = self._costs(given, team)
@@ -328,6 +319,11 @@ class TeamReachNet(MapModel):
                 move = move_of(scores.argmax(1), cargo, targets)
                 steps.append(self._subtask(move[0].tolist(), team))
                 table = table.moved(move[:, 1], move[:, 2])
+                # A thing goes to each place at most once in a plan.
+                colors = torch.arange(ROBOTS, device=self.device)[:, None]
+                again = torch.cat([colors, move[:, 1:].expand(ROBOTS, -1)], 1)
+                if steps[-1] != STOP:
+                    cost[number_of(again, cargo, targets)] = _LOUDEST
         return steps, order_of_parts(read, self.entities)
 
     def _look(self, given: PolicyInput, view: View, team: tuple[str, ...]) -> Scene:
@@ -335,21 +331,27 @@ class TeamReachNet(MapModel):
         first = given.past[0].view if given.past else given.view
         there = numbers_by_color([team], self.device) >= 0
         weak = weak_hands([given.hands], [team], self.device)
-        tables = [
-            team_table(self._scene(replace(given, view=one), team), there, weak)
-            for one in (first, view)
-        ]
-        table = remembered(tables[1], tables[0])
         words = self.reader.sentences.read([given.instruction], self.device)
-        read = self.reader.understand(words, tables[0].there | tables[1].there)
-        return Scene(table, read.shares())
+        seen = self._seen(replace(given, view=first), team)
+        present = self.eye.table(*seen).present
+        read = self.reader.understand(words, present, _UNSEEN).shares()
+        named = _named(read, self.entities)
+        start = team_table(self.eye.table(*seen, named), there, weak)
+        if view is first:
+            return Scene(start, read)
+        seen = self._seen(replace(given, view=view), team)
+        now = team_table(self.eye.table(*seen), there, weak)
+        return Scene(remembered(now, start), read)
 
-    def _scene(self, given: PolicyInput, team: tuple[str, ...]) -> SceneTable:
-        found = self._seen.get(given.view)
+    def _seen(
+        self, given: PolicyInput, team: tuple[str, ...]
+    ) -> tuple[Marks, Tensor, Batch]:
+        """Return marks and coarse features of a view, and the view as a batch."""
+        found = self._views.get(given.view)
         if found is None:
             (batch,) = self.batches([given.with_past(())])
             batch, _ = _colored(batch, numbers_by_color([team], self.device))
-            found = self._seen[given.view] = self.eye.see(batch)
+            found = self._views[given.view] = (*self.eye(batch), batch)
         return found
 
     def _costs(self, given: PolicyInput, team: tuple[str, ...]) -> Tensor:
@@ -379,6 +381,16 @@ class TeamReachNet(MapModel):
         where = names[place] if region < 0 else region_name(region, team)
         who = robot_name(team.index(ROBOT_COLORS[robot]))
         return SubTask(who, Primitive.MOVE, names[pick], where)
+
+
+def _named(read: Reading, entities: EntitySet) -> Tensor:
+    """Return the entities of the goals that were read, (B, E) bool."""
+    bottoms = read.bottoms.argmax(-1)
+    tops = bottoms < entities.stick
+    found = F.one_hot(bottoms, entities.stick + 1).bool().any(1)
+    found[:, entities.stick] = False
+    found[:, : entities.cargo] |= tops
+    return found
 
 
 def _colored(batch: Batch, numbers: Tensor) -> tuple[Batch, Labels | None]:

@@ -3,6 +3,8 @@
 Tokens are entities, robots, regions and the whole scene; relations of two of them bias
 the attention. As in :mod:`lemma.policies.models.reachnet.planner`, colors are no input,
 and a score contains the log-probability that the robot reaches both ends of the move.
+It also contains the log-probabilities that the goal has the pair that the move makes,
+and that the rule permits the move.
 """
 
 import math
@@ -13,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.arguments import Depth, Share, Width
-from lemma.policies.layers import TransformerLayer, drawn
+from lemma.policies.layers import drawn, mlp, planner_layers
 from lemma.policies.models.team_reachnet.reader import Reading
 from lemma.policies.models.team_reachnet.table import (
     REGIONS,
@@ -52,28 +54,18 @@ class TeamPlanner(nn.Module):
         """Make the weights."""
         super().__init__()
         width = config.width
-        self.entity_in = _mlp(_ENTITY, width, width)
-        self.robot_in = _mlp(_ROBOT, width, width)
-        self.region_in = _mlp(_REGION, width, width)
+        self.entity_in = mlp(_ENTITY, width, width)
+        self.robot_in = mlp(_ROBOT, width, width)
+        self.region_in = mlp(_REGION, width, width)
         self.whole = drawn(1, width)
-        self.relation = _mlp(RELATIONS, 48, config.heads)
-        self.layers = nn.ModuleList(
-            TransformerLayer(
-                width,
-                config.heads,
-                4 * width,
-                config.dropout,
-                F.silu,
-                drops_hidden=False,
-            )
-            for _ in range(config.layers)
-        )
+        self.relation = mlp(RELATIONS, 48, config.heads)
+        self.layers = planner_layers(width, config.heads, config.dropout, config.layers)
         self.norm = nn.LayerNorm(width)
         self.pick, self.place, self.robot = (nn.Linear(width, width) for _ in range(3))
         self.pair = nn.Linear(_OBJECTS, width)
         self.reach = nn.Linear(2 * (_REACH + _PLACE), width)
         self.out = nn.Sequential(nn.SiLU(), nn.Linear(width, 1))
-        self.stop = _mlp(width, width, 1)
+        self.stop = mlp(width, width, 1)
         self.sharpness = nn.Parameter(torch.tensor(math.log(50.0)))
         self.weight = nn.Parameter(torch.tensor(0.0))
 
@@ -102,9 +94,15 @@ class TeamPlanner(nn.Module):
         bias = bias.masked_fill(unseen[:, None, None], _ABSENT)
         for layer in self.layers:
             tokens = layer(tokens, bias)
-        return self._scores(self.norm(tokens), table, relations)
+        moves, stop = self._scores(self.norm(tokens), table, relations)
+        asked, unfinished = _asked(table, read)
+        moves = moves + self._possible(table) + asked
+        return torch.cat([moves.flatten(1), stop + unfinished], 1)
 
-    def _scores(self, tokens: Tensor, table: TeamTable, relations: Tensor) -> Tensor:
+    def _scores(
+        self, tokens: Tensor, table: TeamTable, relations: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the learned scores of moves, (B, R, C, P), and of ``stop``, (B, 1)."""
         entities, cargo = len(table.entities), table.entities.cargo
         targets, last = table.entities.stick, tokens.shape[1] - 1
         robots = slice(entities, entities + ROBOTS)
@@ -132,8 +130,7 @@ class TeamPlanner(nn.Module):
             + self.reach(both)
         )
         moves = self.out(hidden).squeeze(-1).float()
-        moves = moves + self._possible(table)
-        return torch.cat([moves.flatten(1), self.stop(tokens[:, -1]).float()], 1)
+        return moves, self.stop(tokens[:, -1]).float()
 
     def _possible(self, table: TeamTable) -> Tensor:
         """Return what to add to the scores of moves, (B, R, C, P): reach, and never."""
@@ -153,6 +150,32 @@ class TeamPlanner(nn.Module):
         robot = _ABSENT * (~table.team).float()[:, :, None, None]
         found: Tensor = pick[..., None] + place[:, :, None] + same + robot
         return found
+
+
+def _asked(table: TeamTable, read: Reading) -> tuple[Tensor, Tensor]:
+    """Return log-probabilities that goal and rule ask for moves and for ``stop``.
+
+    Returns:
+        For moves, (B, R, C, P): that the goal has the pair, or for regions any pair of
+        the movable entity; that it does not hold yet; and that the rule permits it. For
+        ``stop``, (B, 1): that all pairs hold.
+    """
+    targets = table.entities.stick
+    goal, nothing = read.bottoms[..., :targets], read.bottoms[..., targets:]
+    done = (goal * table.on()).sum(-1)
+    later, first, kept = read.roles.unbind(1)
+    open_first = (first * (1.0 - done)).sum(1, keepdim=True)
+    entity = goal * (1.0 - (later * open_first)[..., None])
+    onto = torch.cat([entity, (1.0 - nothing).expand(-1, -1, len(REGIONS))], 2)
+    onto = onto * ((1.0 - done) * (1.0 - kept))[..., None]
+    asked = onto[:, None] * (1.0 - read.excluded)[:, :, None, None]
+    held = (1.0 - (1.0 - nothing.squeeze(2)) * (1.0 - done)).prod(1, keepdim=True)
+    return _log(asked), _log(held)
+
+
+def _log(share: Tensor) -> Tensor:
+    found: Tensor = share.clamp(min=math.exp(_ABSENT)).log()
+    return found
 
 
 def number_of(move: Tensor, cargo: int, targets: int) -> Tensor:
@@ -178,10 +201,6 @@ def move_of(number: Tensor, cargo: int, targets: int) -> Tensor:
     place = torch.where(end >= targets, end + 1, end)
     move = torch.stack([rest // cargo, rest % cargo, place], 1)
     return torch.where((rest >= ROBOTS * cargo)[:, None], -1, move)
-
-
-def _mlp(wide: int, hidden: int, out: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(wide, hidden), nn.SiLU(), nn.Linear(hidden, out))
 
 
 def _entities(table: TeamTable, read: Reading) -> Tensor:

@@ -147,12 +147,15 @@ class TeamReader(GoalReader):
         alike &= torch.arange(len(group)) >= self.cargo
         self.register_buffer("alike_colors", alike, persistent=False)
 
-    def understand(self, sentences: Sentences, there: Tensor) -> Reading:
+    def understand(
+        self, sentences: Sentences, there: Tensor, absent: float = _NEVER
+    ) -> Reading:
         """Return the readings of sentences, as logits.
 
         Args:
             sentences: B sentences.
             there: Entities on the table, (B, E) bool.
+            absent: Change of the logit of a pair if one of its entities is not there.
         """
         found = self.mentions(sentences, _MENTIONS)
         meant = found.group[:, :, None] == self.group
@@ -169,7 +172,8 @@ class TeamReader(GoalReader):
         own = torch.where(self.alike_colors, own, _NEVER)
         pairs = torch.logaddexp(pairs, own)
         both = there[:, : self.cargo, None] & there[:, None, : self.targets]
-        pairs = pairs.masked_fill(~both, _NEVER)
+        itself = torch.eye(*pairs.shape[1:], dtype=torch.bool, device=pairs.device)
+        pairs = (pairs + absent * ~both).masked_fill(itself, _NEVER)
         nothing = torch.zeros_like(pairs[..., :1])
         bottoms = torch.cat([pairs, nothing], -1)
         return Reading(bottoms, self.rule(found.whole).float(), held, excluded)
