@@ -1,4 +1,4 @@
-"""Primitives: the paper's six, two of the ladder, one of teams, and one's own push."""
+"""Primitives: the paper's six, two of the ladder, two of teams, and one's push."""
 
 import pickle
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from lemma.tasks.language.bank import phrase, sub_instruction
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask, primitive_names
 
 SIX = ("move", "prehook", "hook", "prepoke", "poke", "stop")
-SHIPPED = (*SIX, "reach", "lift", "carry")
+SHIPPED = (*SIX, "reach", "lift", "carry", "give")
 PUSHED = 39
 """Number of an instance in which pushing is the best that the first robot can do."""
 PUSH = EXAMPLES / "12_write_a_primitive.py"
@@ -31,9 +31,9 @@ PUSH = EXAMPLES / "12_write_a_primitive.py"
 
 def test_the_six_come_first_in_their_order() -> None:
     assert tuple(PRIMITIVES) == tuple(Primitive) == primitive_names() == SHIPPED
-    assert tuple(SKILLS) == (*SIX[:-1], "reach", "lift", "carry")
+    assert tuple(SKILLS) == (*SIX[:-1], "reach", "lift", "carry", "give")
     for space in (skill_space(2), plan_space(2)):
-        assert space["primitive"] == Discrete(9)
+        assert space["primitive"] == Discrete(10)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -88,11 +88,11 @@ def test_a_primitive_of_ones_own_is_numbered_last(
 ) -> None:
     assert primitive_names() == (*SHIPPED, "push")
     assert tuple(Primitive) == SHIPPED
-    assert skill_space(2)["primitive"] == Discrete(10)
+    assert skill_space(2)["primitive"] == Discrete(11)
     env = lemma.make("pass", level="skill", split="test", index=PUSHED)
     grounded = GroundedSubTask("robot_1", push, Pose2(0, 0, 1), Pose2(0.1, 0, 1))
     action = env.encode(grounded)
-    assert action["primitive"] == 9
+    assert action["primitive"] == 10
     assert env.decode(action) == grounded
     assert env.encode(None)["primitive"] == 5
 

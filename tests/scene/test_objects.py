@@ -36,7 +36,7 @@ def test_sizes_are_those_of_the_design() -> None:
     heights = {kind: OBJECT_KINDS[kind].height_m for kind in OBJECT_KINDS}
     assert heights == {
         **{"cube": 0.05, "pad": 0.035, "plank": 0.03, "stick": 0.03},
-        **{"tray": 0.03, "rack": 0.06},
+        **{"rod": 0.03, "tray": 0.03, "rack": 0.06},
     }
 
 

@@ -188,6 +188,16 @@ def tray_for_one() -> Instance:
     )
 
 
+def rod_for_one() -> Instance:
+    """A rod, and a pad onto which a hand at its end gets it."""
+    return instance(
+        "give",
+        ("rod", "blue_pad"),
+        ObjectPlacement("rod", "rod", at(0.6, -60.0)),
+        ObjectPlacement("pad", "blue", at(reach().grasp_m + 0.08, 0.0)),
+    )
+
+
 SOFT: dict[str, Callable[[], Instance]] = {
     "drag_home": two_cubes_to_drag,
     "drag_any_part": two_cubes_to_drag,
@@ -217,6 +227,7 @@ SOFT: dict[str, Callable[[], Instance]] = {
     "tower_push": lambda: pad_out_of_reach(0.25),
     "knock_off": lambda: pad_out_of_reach(0.24),
     "one_handle": tray_for_one,
+    "far_end": rod_for_one,
     "squeeze_out": lambda: pad_out_of_reach(0.20),
 }
 """Attacks, and an instance that each of them solves."""

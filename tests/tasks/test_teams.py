@@ -24,6 +24,7 @@ from lemma.robots.could import could_of
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_RADIUS_M
 from lemma.scene.objects.plank import PLANK_LENGTH_M
+from lemma.scene.objects.rod import ROD_LENGTH_M
 from lemma.scene.objects.tray import HANDLE_GRASP_M
 from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
@@ -126,7 +127,8 @@ def could(robot: RobotPlacement, kind: str, at: Pose2) -> bool:
     """Whether a robot could touch a thing or put another on it, by the bound alone."""
     reach, away = could_of(robot.arm), robot.base.distance(at)
     cube_m = math.sqrt(0.5) * CUBE_EDGE_M
-    sizes = {"cube": cube_m, "pad": PAD_RADIUS_M, "plank": 0.5 * PLANK_LENGTH_M}
+    sizes = {"cube": cube_m, "pad": PAD_RADIUS_M}
+    sizes |= {"plank": 0.5 * PLANK_LENGTH_M, "rod": 0.5 * ROD_LENGTH_M}
     size_m = sizes.get(kind, HANDLE_DISC_M)
     return away - size_m < max(reach.touch_m, reach.place_m)
 

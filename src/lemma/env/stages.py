@@ -9,7 +9,8 @@ Each sub-task of the expert's plan for the instance has five stages:
    is held, and the cube has moved,
 5. *placed*: the moved object rests at its place in the sub-task, and no robot leads it.
 
-Of ``carry`` each counts once both robots have come so far, each at its handle.
+Of ``carry`` each counts once both robots have come so far, each at its handle; of
+``give`` once either has, whoever holds the thing.
 ``reach`` has two, approached and placed: the hand is over the object. ``lift`` has
 four: approached, touched, grasped and lifted.
 
@@ -305,8 +306,8 @@ class StageWatch:
             elif self._hand_m(robot, step.pick) < NEAR_M:
                 level = 1
             levels.append(level)
-        # Of what two robots do, as far as both are.
-        hands = 2 if step.primitive in JOINT else 1
+        # Of what two robots carry, as far as both are.
+        hands = 2 if step.primitive is Primitive.CARRY else 1
         return sorted(levels)[-hands] if len(levels) >= hands else 0
 
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
@@ -316,6 +317,8 @@ class StageWatch:
             return False
         if not held and not reaches(robot, self._grip(step.pick, robot)):
             return False
+        if step.primitive is Primitive.GIVE:
+            return True
         if step.place in self._scene.object_names and step.pick != STICK:
             place = self._scene.pose2(step.place)
             return reaches(robot, self._handle(step.pick, robot, place))
@@ -330,11 +333,11 @@ class StageWatch:
 
     def _handle(self, name: str, robot: str, at: Pose2) -> Pose2:
         """Return where a robot has its hand when an object lies somewhere."""
-        carried = kind_of(name).carried
-        if carried is None:
+        handles = kind_of(name).handles
+        if handles is None:
             return at
         base = self._grounder.robots[robot].base
-        return min((at @ grasp.at for grasp in carried.handles), key=base.distance)
+        return min((at @ grasp.at for grasp in handles), key=base.distance)
 
     def _hand_m(self, robot: int, name: str) -> float:
         """Return the distance of a hand from an object's grasp position [m]."""

@@ -1,11 +1,14 @@
 """Sub-tasks that two robots carry out together, on one clock.
 
-The order is given to one robot, the leader, and takes a partner as well: the robot that
-stands nearest to the other handle. Both reserve all that they will sweep at once or
-wait without any sector, so that no circle of waiting arms goes through them. Each
-grasps its handle and waits for the other one. From there on a single path of the thing
-sets both references, a posture for each servo tick by inverse kinematics. Where one
-robot fails, the other one ends with the same outcome.
+The order is given to one robot, the leader, and takes a partner as well. Both reserve
+all that they will sweep at once or wait without any sector, so that no circle of
+waiting arms goes through them. Where one robot fails, the other one ends with the same
+outcome.
+
+``carry``: the partner is the robot that stands nearest to the other handle. Each grasps
+its handle and waits for the other one. From there on a single path of the thing sets
+both references, a posture for each servo tick by inverse kinematics. ``give`` is in
+:mod:`lemma.motion.give`.
 """
 
 import math
@@ -19,13 +22,14 @@ from lemma.core.poses import Pose2, wrap
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.moves import Motion, Moves, Stand
 from lemma.motion.outcome import Outcome, SkillFailure
-from lemma.robots.reach import TRAVEL_HEIGHT_M
+from lemma.robots.reach import TRAVEL_HEIGHT_M, reach_of
 from lemma.robots.ur.kinematics import top_down
 from lemma.scene.build import TICK_S
 from lemma.scene.objects.entity import kind_of
-from lemma.scene.objects.kind import Carried
+from lemma.scene.objects.kind import Carried, Grasp, ObjectKind
 from lemma.scene.scene import Scene
-from lemma.tasks.subtask import JOINT, GroundedSubTask
+from lemma.scene.spec import RobotPlacement
+from lemma.tasks.subtask import GroundedSubTask, Primitive
 
 if TYPE_CHECKING:
     from lemma.motion.skills import SkillRunner
@@ -42,7 +46,7 @@ _SETTLE_TICKS = 15
 
 @dataclass(slots=True)
 class Joint:
-    """Two robots and the thing that they carry."""
+    """Two robots and the thing that they carry, or that one gives to the other."""
 
     thing: str
     subtasks: Mapping[str, GroundedSubTask]
@@ -51,6 +55,8 @@ class Joint:
     """Where the thing lies."""
     end: Pose2
     """Where it shall lie."""
+    meeting: Pose2 | None = None
+    """Where it is in the air as it changes hands; None for ``carry``."""
     failure: SkillFailure | None = None
     """Why one of the robots cannot go on."""
     _met: dict[str, int] = field(default_factory=dict)
@@ -67,6 +73,15 @@ class Joint:
         carried = kind_of(self.thing).carried
         assert carried is not None
         return carried
+
+    @property
+    def goals(self) -> dict[str, tuple[Pose2, Pose2]]:
+        """Where each robot has its hand first and last, by robot."""
+        goals = {name: (part.pick, part.place) for name, part in self.subtasks.items()}
+        if self.meeting is not None:
+            pick = goals[self.leader][0]
+            goals[self.leader] = (pick, self.meeting @ self.start.inverse() @ pick)
+        return goals
 
     def partner_of(self, robot: str) -> str:
         """Return the other robot."""
@@ -121,35 +136,73 @@ class Joint:
 
 
 def pair_up(subtask: GroundedSubTask, scene: Scene, thing: str | None) -> Joint | None:
-    """Return who carries a thing with a robot, and how.
+    """Return who carries a thing with a robot or is given it, and how.
 
     Args:
-        subtask: The robot's, with the poses of its own hand.
+        subtask: The robot's, with the poses of its own hand. The place pose of ``give``
+            is where that hand would be if it held the thing to the end.
         scene: The world.
         thing: The entity at its pick pose.
 
     Returns:
         None if it is no joint sub-task, or the pose is not that of a handle.
     """
-    if subtask.primitive not in JOINT or thing is None or len(scene.robots) < 2:
+    grips = None if thing is None else _grips(subtask.primitive, kind_of(thing))
+    if grips is None or thing is None or thing in scene.fallen:
         return None
-    carried = kind_of(thing).carried
-    if carried is None or thing in scene.fallen:
+    robots = {robot.name: robot.placement for robot in scene.robots}
+    if len(robots) < 2:
         return None
     start = scene.pose2(thing)
     mine, other = sorted(
-        (start @ grasp.at for grasp in carried.handles), key=subtask.pick.distance
+        (grasp.at for grasp in grips),
+        key=lambda at: subtask.pick.distance(start @ at),
     )
-    if subtask.pick.distance(mine) > _HANDLE_M:
+    if subtask.pick.distance(start @ mine) > _HANDLE_M:
         return None
-    bases = {robot.name: robot.placement.base for robot in scene.robots}
-    partner = nearest_robot(bases, other, but=subtask.robot)
-    assert partner is not None
     end = subtask.place @ subtask.pick.inverse() @ start
+    gives = subtask.primitive is Primitive.GIVE
+    bases = {name: placed.base for name, placed in robots.items()}
+    partner = nearest_robot(bases, (end if gives else start) @ other, subtask.robot)
+    assert partner is not None
+    pair = (robots[subtask.robot], robots[partner])
+    met = meeting(*pair, mine, other) if gives else None
     theirs = GroundedSubTask(
-        partner, subtask.primitive, other, end @ start.inverse() @ other
+        partner, subtask.primitive, (met or start) @ other, end @ other
     )
-    return Joint(thing, {subtask.robot: subtask, partner: theirs}, start, end)
+    return Joint(thing, {subtask.robot: subtask, partner: theirs}, start, end, met)
+
+
+def _grips(primitive: Primitive, kind: ObjectKind) -> tuple[Grasp, Grasp] | None:
+    """Return how two hands hold a kind of thing in a joint sub-task, if they can."""
+    if primitive is Primitive.GIVE:
+        return kind.ends
+    carries = primitive is Primitive.CARRY and kind.carried is not None
+    return kind.handles if carries else None
+
+
+def meeting(
+    giver: RobotPlacement, taker: RobotPlacement, mine: Pose2, other: Pose2
+) -> Pose2:
+    """Return where a thing is in the air as it changes hands.
+
+    It lies along the line between both bases, the giver's end towards the giver. Both
+    hands are equally far inside of what they reach.
+
+    Args:
+        giver: The robot that brings it.
+        taker: The robot that takes it.
+        mine: Where the giver holds it, in its frame.
+        other: Where the taker holds it, in its frame.
+    """
+    base, towards = giver.base, taker.base
+    reach, theirs = (reach_of(placed.arm).travel_m for placed in (giver, taker))
+    way = base.distance(towards) - mine.distance(other)
+    out_m = 0.5 * (way + reach - theirs)
+    bearing = math.atan2(towards.y - base.y, towards.x - base.x)
+    hand = Pose2(base.x, base.y, bearing) @ Pose2(out_m, 0.0)
+    along = math.atan2(other.y - mine.y, other.x - mine.x)
+    return hand @ Pose2(0.0, 0.0, -along) @ Pose2(-mine.x, -mine.y)
 
 
 def nearest_robot(bases: Mapping[str, Pose2], at: Pose2, but: str) -> str | None:
@@ -262,16 +315,8 @@ def carry(runner: "SkillRunner", arm: ArmMotion, subtask: GroundedSubTask) -> Mo
 
 
 def _carry_together(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
-    name, scene, table = arm.robot.name, arm.scene, runner.reservations
-    if table.holds(name):
-        # A robot that waits holds no sector, so no cycle of waiting arms includes it.
-        yield from runner.staying.go_home(arm)
-        table.give_up(name)
-    yield from joint.meet(name, scene)
-    if name == joint.leader:
-        goals = {n: (s.pick, s.place) for n, s in joint.subtasks.items()}
-        yield from runner.wait_for(arm, partial(table.ask_together, goals))
-    yield from joint.meet(name, scene)
+    name, scene = arm.robot.name, arm.scene
+    yield from reserve_together(runner, arm, joint)
     hold = Hold(arm, joint, _support_m(runner, joint))
     hold.check_reach()
     runner.feel(arm, hold.subtask.pick, joint.thing)
@@ -281,6 +326,19 @@ def _carry_together(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Moti
     yield from hold.follow()
     yield from joint.meet(name, scene)
     yield from hold.release()
+
+
+def reserve_together(runner: "SkillRunner", arm: ArmMotion, joint: Joint) -> Motion:
+    """Wait until both robots are free and have reserved all that they will sweep."""
+    name, scene, table = arm.robot.name, arm.scene, runner.reservations
+    if table.holds(name):
+        # A robot that waits holds no sector, so no cycle of waiting arms includes it.
+        yield from runner.staying.go_home(arm)
+        table.give_up(name)
+    yield from joint.meet(name, scene)
+    if name == joint.leader:
+        yield from runner.wait_for(arm, partial(table.ask_together, joint.goals))
+    yield from joint.meet(name, scene)
 
 
 def _support_m(runner: "SkillRunner", joint: Joint) -> float:

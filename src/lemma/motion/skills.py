@@ -13,6 +13,7 @@ from lemma.core.engine import mujoco
 from lemma.core.poses import Pose2
 from lemma.core.registry import Registry
 from lemma.motion.arm_motion import ArmMotion, largest_turn
+from lemma.motion.give import give
 from lemma.motion.joint import Joint, carry, pair_up
 from lemma.motion.leaving import Leaving
 from lemma.motion.moves import FLY_BY_M, Motion, Moves, Stand, between
@@ -370,6 +371,7 @@ SKILLS.add(Primitive.POKE, SkillRunner.drag)
 SKILLS.add(Primitive.REACH, SkillRunner.reach)
 SKILLS.add(Primitive.LIFT, SkillRunner.lift)
 SKILLS.add(Primitive.CARRY, carry)
+SKILLS.add(Primitive.GIVE, give)
 _STAYS = (Primitive.REACH, Primitive.LIFT)
 """After these the arm stays where it is, and holds its object."""
 

@@ -98,8 +98,8 @@ def to_pddl(
         raise InvalidConfigError(
             f"{name} cannot be expressed in PDDL: no plan reaches its goal by moving "
             "cubes alone, or a cube is too heavy for a robot. Choose an instance of a "
-            "task without the stick, and without grippers, a plank, a tray or a rule "
-            "in its goal, such as relay."
+            "task without the stick, and without grippers, a plank, a tray, a rod or "
+            "a rule in its goal, such as relay."
         )
     return Pddl(_domain(), _Problem(now, goal, grounder).text(name))
 

@@ -1,8 +1,8 @@
 """Primitives: one record each, with skill, grounding, candidates and language.
 
 The paper's six come first, in the order of their numbers in action spaces and trained
-weights, then ``reach`` and ``lift`` of the ladder, ``carry`` of two robots, then those
-of users.
+weights, then ``reach`` and ``lift`` of the ladder, ``carry`` and ``give`` of two
+robots, then those of users.
 """
 
 import math
@@ -15,11 +15,13 @@ from lemma.core.registry import Registry
 from lemma.motion.skills import SKILLS, SkillMotion
 from lemma.planning.carrying import ground_carry
 from lemma.planning.geometry import GroundedOption, SceneGeometry
+from lemma.planning.giving import ground_give
 from lemma.planning.symbolic_state import TABLE, SymbolicState, across_label
 from lemma.planning.validity import (
     WhyNot,
     unless_prepared,
     why_not_carry,
+    why_not_give,
     why_not_hand,
     why_not_move,
 )
@@ -277,6 +279,13 @@ def _propose_carry(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTa
             yield SubTask(robot, Primitive.CARRY, wish.item, place)
 
 
+def _propose_give(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+    """Propose to give away what has two ends, whoever reaches its middle."""
+    if kind_of(wish.item).ends is not None:
+        for place in wish.places:
+            yield SubTask(robot, Primitive.GIVE, wish.item, place)
+
+
 def _propose_hand(primitive: Primitive) -> Candidates:
     """Return a function that proposes ``reach`` or ``lift`` of the wish's object."""
 
@@ -365,5 +374,16 @@ PRIMITIVES.add(
         ground=ground_carry,
         candidates=_propose_carry,
         why_not=why_not_carry,
+    ),
+)
+PRIMITIVES.add(
+    Primitive.GIVE,
+    PrimitiveSpec(
+        name=Primitive.GIVE,
+        phrase="{robot}: give the {pick} to your partner, who puts it onto the {place}",
+        skill=SKILLS[Primitive.GIVE],
+        ground=ground_give,
+        candidates=_propose_give,
+        why_not=why_not_give,
     ),
 )

@@ -63,6 +63,20 @@ def unless_prepared(prepare: Primitive) -> WhyNot:
     return why_not
 
 
+def why_not_give(subtask: SubTask, now: SymbolicState) -> str | None:
+    """Return why no robot could ``give`` something away; None if it is valid."""
+    pick, place = subtask.pick, subtask.place
+    if kind_of(pick).ends is None:
+        return f"The {pick} has no two ends at which two hands hold it."
+    if is_region(place) or kind_of(place).support_m is None or place == pick:
+        return f"The {pick} cannot be put on {place}."
+    for name in (pick, place):
+        above = now.on_top_of(name)
+        if above is not None and above != pick:
+            return f"The {above} lies on the {name}."
+    return f"The {pick} lies there already." if now.has(pick, place) else None
+
+
 def why_not_carry(subtask: SubTask, now: SymbolicState) -> str | None:
     """Return why no robots could ``carry`` something somewhere; None if valid."""
     pick, place = subtask.pick, subtask.place

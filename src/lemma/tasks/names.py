@@ -42,6 +42,7 @@ FAMILIES = (
     "strong",
     "bridge",
     "carry",
+    "give",
 )
 """The families of the suite ``teams``, for two to four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}

@@ -15,7 +15,7 @@ from lemma.core.errors import InvalidConfigError, SamplingError
 from lemma.core.poses import FloatArray, Pose2
 from lemma.core.seeding import ordered_sum
 from lemma.robots.collision_model import sweep_radius_m
-from lemma.scene.objects.entity import is_carried
+from lemma.scene.objects.entity import kind_of
 from lemma.scene.objects.kind import OBJECT_KINDS, ObjectKind
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.scene.objects.stick import (
@@ -291,7 +291,9 @@ class ObjectPlacer:
         team = range(len(self.robots))
         excluded = goal.rule is not None and goal.rule.robot is not None
         there = needed(self.territory, self.objects, goal)
-        joint = len(team) > 2 or any(is_carried(on.top) for on in goal.placements)
+        joint = len(team) > 2 or any(
+            kind_of(on.top).handles is not None for on in goal.placements
+        )
         if joint and len(there) < len(team) - excluded:
             raise PlacementError("team without one robot")
         for robot in team:

@@ -18,6 +18,7 @@ from lemma.core.seeding import stream
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import ObjectPlacement
+from lemma.scene.table import Gap
 from lemma.tasks.drags import LARGEST_HEADING_RAD, heading_from
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
@@ -272,6 +273,10 @@ def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[
     if task.layout != PAIR:
         if not LAYOUTS[task.layout].allows(robots):
             yield f"The robots do not stand as in the layout {task.layout}."
+        split = LAYOUTS[task.layout].split
+        at = split(robots) if split is not None else None
+        if not _is_same_gap(at, instance.scene.gap_m):
+            yield f"The gap in the table is not as in the layout {task.layout}."
         return
     for number, (robot, phrase) in enumerate(zip(robots, phrases, strict=True)):
         turned = wrap(robot.base.yaw - math.pi * number)
@@ -296,11 +301,17 @@ def _stands(instance: Instance, task: Task, order: tuple[int, ...]) -> Iterator[
     elif abs(left + right + first - second) / 2.0 > _MIDDLE_M:
         yield "The robots do not meet in the middle of the table."
     wanted = gap_beyond(robots, order[0]) if task.apart else None
-    gap = instance.scene.gap_m
-    if (wanted is None) != (gap is None) or (
-        wanted and gap and abs(wanted[0] - gap[0]) > 2 * _ROUNDED_M
-    ):
+    if not _is_same_gap(wanted, instance.scene.gap_m):
         yield f"The gap in the table is not where the {phrases[order[0]]} needs it."
+
+
+def _is_same_gap(wanted: Gap | None, there: Gap | None) -> bool:
+    if wanted is None or there is None:
+        return wanted is there
+    return all(
+        abs(one - other) <= 2 * _ROUNDED_M
+        for one, other in zip(wanted, there, strict=True)
+    )
 
 
 def _hindered(what: str) -> str:

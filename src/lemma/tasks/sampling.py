@@ -124,10 +124,12 @@ def _place_team(
     if task.layout == PAIR:
         there, gap_m = place_pair(team, order, rng, fixed=task.fixed, apart=task.apart)
     else:
-        placed = LAYOUTS[task.layout].place(team, rng)
+        layout = LAYOUTS[task.layout]
+        placed = layout.place(team, rng)
         if placed is None:
             raise PlacementError(task.layout)
         there = placed
+        gap_m = layout.split(placed) if layout.split is not None else None
     hands = task.hands_of(order)
     robots = (replace(r, hand=h) for r, h in zip(there, hands, strict=True))
     return tuple(robots), gap_m

@@ -12,7 +12,7 @@ from lemma.core.poses import Pose2
 class Primitive(StrEnum):
     """A primitive.
 
-    The members are the paper's six (section IV), two of the ladder and one of teams, in
+    The members are the paper's six (section IV), two of the ladder and two of teams, in
     the order of their numbers in action spaces and trained weights.
     ``Primitive("push")`` also finds primitives that users have added to
     :data:`lemma.planning.primitives.PRIMITIVES`.
@@ -36,6 +36,8 @@ class Primitive(StrEnum):
     """Pick an object up, and stay there with it."""
     CARRY = "carry"
     """Carry an object by one handle, while a second robot holds the other handle."""
+    GIVE = "give"
+    """Hand an object by its end to a second robot in the air, which puts it down."""
 
     @classmethod
     def _missing_(cls, value: object) -> "Primitive":
@@ -139,7 +141,7 @@ class SubTask:
 
 
 STOP = SubTask("", Primitive.STOP)
-JOINT = (Primitive.CARRY,)
+JOINT = (Primitive.CARRY, Primitive.GIVE)
 """Sub-tasks of one robot that take a second one, its partner, as well."""
 PAPER_PRIMITIVES = tuple(Primitive)[:6]
 """The paper's six; heads of trained models have one output for each."""

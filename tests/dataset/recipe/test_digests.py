@@ -1,4 +1,4 @@
-"""Digests: of all 25,100 episodes, and a sample of them made again."""
+"""Digests: of all 25,400 episodes, and a sample of them made again."""
 
 import platform
 from importlib.resources import files

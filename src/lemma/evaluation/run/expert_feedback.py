@@ -18,7 +18,7 @@ from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision
 from lemma.scene.objects.entity import STICK, is_carried
-from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.subtask import JOINT, STOP, Primitive, SubTask
 
 
 def left_in(episode: Episode, now: SymbolicState | None = None) -> int | None:
@@ -52,7 +52,8 @@ def advise(
     pick = place = None
     if decision.grounded is not None:
         held = subtask.pick is not None and is_carried(subtask.pick)
-        if subtask.pick in now.poses and subtask.pick != STICK and not held:
+        joint = held or subtask.primitive in JOINT
+        if subtask.pick in now.poses and subtask.pick != STICK and not joint:
             pick = decision.grounded.pick.distance(now.poses[subtask.pick])
         if subtask.primitive is Primitive.MOVE and subtask.place in now.poses:
             place = decision.grounded.place.distance(now.poses[subtask.place])

@@ -9,7 +9,7 @@ from typing import Any
 
 from lemma.planning.primitives import PRIMITIVES
 from lemma.scene.objects.entity import SHARED, STICK, is_carried, kind_of
-from lemma.tasks.subtask import JOINT, STOP, Primitive, SubTask
+from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 NONE = "none"
 """Value for no robot and no object."""
@@ -86,13 +86,16 @@ class AnswerFormat:
 
     @cached_property
     def primitives(self) -> tuple[str, ...]:
-        """Valid primitives. Some need a stick, some an object that two robots carry."""
-        joint = any(map(is_carried, self.objects))
+        """Valid primitives. Some need a stick, some an object that two robots hold."""
+        joint = {
+            Primitive.CARRY: any(map(is_carried, self.objects)),
+            Primitive.GIVE: any(kind_of(name).ends for name in self.objects),
+        }
         usable = (
             name
             for name in PRIMITIVES
             if (self.has_stick or not PRIMITIVES[name].tool)
-            and (joint or name not in JOINT)
+            and joint.get(Primitive(name), True)
         )
         return (*usable, *([WAIT] if self.may_wait else []))
 

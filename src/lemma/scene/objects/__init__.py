@@ -2,6 +2,6 @@
 
 # Import in this order, so that the kinds are always registered in the same order, which
 # defines the numbers of entities.
-from lemma.scene.objects import cube, pad, plank, stick, tray
+from lemma.scene.objects import cube, pad, plank, rod, stick, tray
 
-__all__ = ["cube", "pad", "plank", "stick", "tray"]
+__all__ = ["cube", "pad", "plank", "rod", "stick", "tray"]

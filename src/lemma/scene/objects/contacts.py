@@ -44,12 +44,12 @@ def watched_m(names: Sequence[str]) -> FloatArray:
 
 
 def handle_m(name: str) -> float:
-    """Return how far handles are from the middle of what two robots carry [m].
+    """Return how far hands are from the middle of what two robots hold [m].
 
     It is 0 for everything else.
     """
-    carried = kind_of(name).carried
-    return 0.0 if carried is None else abs(carried.handles[0].at.x)
+    handles = kind_of(name).handles
+    return 0.0 if handles is None else abs(handles[0].at.x)
 
 
 @kernel

@@ -168,6 +168,9 @@ class ObjectKind:
     """The grasp; None if no gripper can hold it."""
     carried: Carried | None = None
     """How two robots carry it together; None for other kinds."""
+    ends: tuple[Grasp, Grasp] | None = None
+    """How a hand holds it near either end, as one robot hands it to another; None for
+    other kinds."""
     tops: tuple[Point, ...] = (_UP,)
     """Unit vectors in its frame that may point up when it stands on a face: six for a
     box, two for a cylinder."""
@@ -232,6 +235,11 @@ class ObjectKind:
 
     def _error(self, reason: str) -> InvalidConfigError:
         return InvalidConfigError(f"Object kind {self.name!r}: {reason}.")
+
+    @property
+    def handles(self) -> tuple[Grasp, Grasp] | None:
+        """How two hands hold it, one near either end; None for other kinds."""
+        return self.ends if self.carried is None else self.carried.handles
 
     @property
     def colored(self) -> bool:

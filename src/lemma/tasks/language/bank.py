@@ -244,7 +244,7 @@ def sub_instruction(
     if primitive == "stop":
         return lines["stop"]
     added = added_phrase(primitive)
-    if primitive in ("move", "carry") or added is not None:
+    if primitive in ("move", "carry", "give") or added is not None:
         if pick is None or place is None:
             raise InvalidConfigError(
                 f"{primitive!r} needs pick and place, got pick={pick!r}, "

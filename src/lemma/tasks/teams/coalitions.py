@@ -5,7 +5,7 @@ coalition is kept from ``On(top, bottom)`` where none of it could touch the top,
 could touch the bottom or put anything on it, or nothing could get from those who could
 do the one to those who could do the other. All of that is said of what robots *could*
 do (:mod:`lemma.robots.could`), with whatever they can touch as a means: a row of cubes
-that is pushed gets farther than a hand, and so does a plank that is held by its end. A
+that is pushed gets farther than a hand, and so does a bar that is held by its end. A
 robot for which a top is too heavy could not get it onto something as high as the top
 itself, unless there is a lower rim.
 """
@@ -134,6 +134,11 @@ def _free_to_act(territory: Territory, goal: Goal) -> list[int]:
     return [r for r in range(len(territory.robots)) if robot_name(r) != excluded]
 
 
+def _is_bar(kind: ObjectKind) -> bool:
+    """Whether a hand that holds a thing by its end gets farther by all its length."""
+    return kind.span_m is not None or kind.ends is not None
+
+
 class _Coalition:
     """Some robots of a team, and what they could touch as things lie."""
 
@@ -150,7 +155,7 @@ class _Coalition:
         self._bars_m = {
             placed.name: 2.0 * placed.entity.kind.disc_m
             for placed in objects
-            if placed.entity.kind.span_m is not None and self._touching(placed)
+            if _is_bar(placed.entity.kind) and self._touching(placed)
         }
         self._cargo = [
             placed
@@ -169,6 +174,8 @@ class _Coalition:
             ends = (self._touching(top), self._touching(bottom))
             able = all(map(self._has_both_handles, (top, bottom), (top, top)))
             return None if able else Lack(on, tuple(ends[0]), tuple(ends[1]))
+        if top.entity.kind.ends is not None and self._is_beyond_gap(top, bottom):
+            return self._lack_across(on)
         row_m = self._row_m(but=(on.top, on.bottom))
         getters = self._touching(top) or self._pushing_together(top, row_m)
         # A cube that stands on one that is pushed slides or tips over where it stops.
@@ -182,6 +189,34 @@ class _Coalition:
         if any(group & set(getters) and group & set(putters) for group in groups):
             return None
         return Lack(on, tuple(sorted({*getters})), tuple(sorted({*putters})))
+
+    def _is_beyond_gap(self, one: ObjectPlacement, other: ObjectPlacement) -> bool:
+        """Whether two things lie on different table tops, and the top falls between."""
+        gap = self._territory.gap_m
+        if gap is None or gap[1] - gap[0] <= 2.0 * one.entity.kind.disc_m:
+            return False
+        return (one.pose.x <= gap[0]) != (other.pose.x <= gap[0])
+
+    def _lack_across(self, on: On) -> Lack | None:
+        """Return what keeps the coalition from a part of a goal beyond a gap.
+
+        A thing that is pushed falls into it. A hand that holds the thing by its end has
+        its middle half of its length farther out, and so has one that pushes its end.
+        """
+        top, bottom = (self._placed[name] for name in (on.top, on.bottom))
+        getters, at = self._touching(top), bottom.pose
+        x, y, by_m = np.array([at.x]), np.array([at.y]), top.entity.kind.disc_m
+        putters = [
+            robot
+            for robot in self._robots
+            if not self._territory.cannot(
+                robot, bottom.entity.kind, x, y, by_m=OUTSIDE_M + by_m
+            )[0]
+        ]
+        groups = self._groups(top.entity.kind, 0.0)
+        if any(group & set(getters) and group & set(putters) for group in groups):
+            return None
+        return Lack(on, tuple(getters), tuple(putters))
 
     def _could_raise(
         self, robot: int, top: ObjectPlacement, bottom: ObjectPlacement

@@ -17,6 +17,7 @@ from lemma.core.seeding import ordered_sum
 from lemma.robots.could import could_of
 from lemma.robots.reach import reach_of
 from lemma.scene.objects.cube import CUBE
+from lemma.scene.objects.rod import ROD_LENGTH_M
 from lemma.scene.spec import PAIR_COLORS, ROBOT_COLORS, RobotPlacement
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M, Gap
 from lemma.tasks.zones import FROM_EDGE_M, OUTSIDE_M
@@ -39,6 +40,8 @@ FOOT_M = 0.15
 """A robot's base stands so far from the edge of the table, at least."""
 
 Bases = Sequence[Pose2]
+Split = Callable[[Sequence[RobotPlacement]], Gap]
+"""The gap in the table, from where the robots stand."""
 Shape = Callable[[Sequence[float], np.random.Generator], Bases]
 """Bases, anywhere, from how far apart neighbors stand [m], in the order of
 ``neighbors``."""
@@ -62,6 +65,9 @@ class Layout:
     """The teams' orders by role: those in which neighbors stay neighbors."""
     shape: Shape
     """Where they stand, from the distances of neighbors."""
+    split: Split | None = None
+    """Where the table is missing between them; None for a whole table. Then robots
+    stand along x."""
 
     def __post_init__(self) -> None:
         """Check the types."""
@@ -98,7 +104,10 @@ class Layout:
         """
         widths = [rng.uniform(*self.width) for _ in self.neighbors]
         bases = self.shape(self.distances_m(team, widths), rng)
-        quarter = Pose2(0.0, 0.0, 0.5 * math.pi * int(rng.integers(4)))
+        turns = int(rng.integers(4))
+        if self.split is not None:
+            turns -= turns % 2
+        quarter = Pose2(0.0, 0.0, 0.5 * math.pi * turns)
         turned = [quarter @ base for base in bases]
         x, y = ([base.xy[axis] for base in turned] for axis in (0, 1))
         middle = (0.5 * (min(x) + max(x)), 0.5 * (min(y) + max(y)))
@@ -204,6 +213,18 @@ def gap_beyond(robots: tuple[RobotPlacement, ...], user: int) -> Gap:
     return round(far, 4), round(far + _GAP_WIDTH_M, 4)
 
 
+def gap_out_of_reach(robots: Sequence[RobotPlacement]) -> Gap:
+    """Return a gap so wide that nobody could touch a rod on another one's table top.
+
+    That is a rod of which the middle lies on the table. It falls into the gap, which is
+    wider than it is long.
+    """
+    left, right = sorted(robots, key=lambda robot: robot.base.x)
+    beyond_m = OUTSIDE_M + 0.5 * ROD_LENGTH_M
+    far = [could_of(robot.arm).touch_m + beyond_m for robot in (right, left)]
+    return round(right.base.x - far[0], 4), round(left.base.x + far[1], 4)
+
+
 def _chain(least_rad: float, most_rad: float) -> Shape:
     """Return the shape of a line of robots that bends at each inner one.
 
@@ -298,6 +319,19 @@ LAYOUTS.add(
         width=(-0.34, -0.15),
         orders=((0, 1), (1, 0)),
         shape=_pair,
+    ),
+)
+LAYOUTS.add(
+    "gap_pair",
+    Layout(
+        name="gap_pair",
+        summary="Two robots stand face to face, with a gap in the table between them.",
+        size=2,
+        neighbors=((0, 1),),
+        width=(-0.13, -0.07),
+        orders=((0, 1), (1, 0)),
+        shape=_pair,
+        split=gap_out_of_reach,
     ),
 )
 LAYOUTS.add(
