@@ -51,7 +51,7 @@ def advise(
     deviates = deviation(subtask, plan or ())
     pick = place = None
     if decision.grounded is not None:
-        held = subtask.pick is not None and is_carried(subtask.pick)
+        held = bool(subtask.pick) and is_carried(subtask.pick)
         joint = held or subtask.primitive in JOINT
         if subtask.pick in now.poses and subtask.pick != STICK and not joint:
             pick = decision.grounded.pick.distance(now.poses[subtask.pick])

@@ -142,10 +142,12 @@ class TeamReader(GoalReader):
         groups, words = groups_of(entities)
         robots = torch.tensor([words.get(color, NOBODY) for color in ROBOT_COLORS])
         self.register_buffer("robots", robots, persistent=False)
-        group = torch.tensor(groups)
-        alike = group[: self.cargo, None] == group[None]
-        alike &= torch.arange(len(group)) >= self.cargo
-        self.register_buffer("alike_colors", alike, persistent=False)
+        # By Python, because arithmetic without numbers loads torch's compiler.
+        alike = [
+            [one == other and k >= self.cargo for k, other in enumerate(groups)]
+            for one in groups[: self.cargo]
+        ]
+        self.register_buffer("alike_colors", torch.tensor(alike), persistent=False)
 
     def understand(
         self, sentences: Sentences, there: Tensor, absent: float = _NEVER
