@@ -17,14 +17,25 @@ from lemma.policies.models.team_reachnet.model import (
     TeamReachNet,
     TeamReachNetConfig,
 )
+from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.planner import move_of, number_of
-from lemma.policies.models.team_reachnet.reader import RULES, wanted_of
-from lemma.policies.models.team_reachnet.table import TeamTable, remembered, true_table
+from lemma.policies.models.team_reachnet.reader import (
+    RULES,
+    named_entities,
+    wanted_of,
+)
+from lemma.policies.models.team_reachnet.table import (
+    TeamTable,
+    recalled,
+    remembered,
+    true_table,
+)
 from lemma.policies.models.team_reachnet.teams import (
     REGIONS,
     ROBOTS,
     distinct,
     members,
+    move_named,
     region_name,
     region_number,
     regions_there,
@@ -33,6 +44,7 @@ from lemma.policies.together.interfaces import Doing, TeamInput
 from lemma.scene.objects.pad import PAD
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.subtask import STOP, Primitive, SubTask
+from lemma.tasks.teams.rule import After
 
 NETWORK = TeamReachNet(TeamReachNetConfig(cell_m=RASTER.cell_m)).eval()
 ENTITIES = NETWORK.entities
@@ -246,3 +258,74 @@ def test_it_looks_again_after_a_failure_when_all_arms_rest(
 def test_it_stops_after_many_failures_in_a_row() -> None:
     past = tuple(PastStep(view(), RELAY[0], "missed") for _ in range(6))
     assert ordered(NETWORK, asked(past=past)) == [STOP]
+
+
+def test_a_part_of_the_goal_waits_until_the_first_part_has_ended() -> None:
+    steps = [
+        move(0, "red_cube", "shared"),
+        move(1, "red_cube", "red_pad"),
+        move(2, "white_cube", "blue_pad"),
+    ]
+    after = After("white_cube", "blue_pad", "red_cube", "red_pad")
+    robots = ("robot_0", "robot_1", "robot_2")
+    assert next_orders(steps, [0, 1, 2], robots, [], None) == [0, 1, 2]
+    assert next_orders(steps, [0, 1, 2], robots, [], after) == [0, 1]
+    assert next_orders(steps, [2], robots, steps[:1], after) == []
+    assert next_orders(steps, [2], robots, steps[:2], after) == [2]
+
+
+def test_a_robot_takes_what_is_ready_before_what_waits() -> None:
+    steps = [
+        move(0, "red_cube", "shared_01"),
+        move(1, "red_cube", "red_pad"),
+        move(1, "white_cube", "blue_pad"),
+    ]
+    robots = ("robot_0", "robot_1")
+    assert next_orders(steps, [0, 1, 2], robots, [], None) == [0, 2]
+    assert next_orders(steps, [1, 2], ("robot_1",), [], None) == [2]
+    assert next_orders(steps, [1, 2], ("robot_1",), steps[:1], None) == [1]
+
+
+def best(table: TeamTable, rule: tuple[str, ...] = ()) -> SubTask:
+    """Return the untrained network's first move for red on red and white on blue."""
+    goal = (("red_cube", "red_pad"), ("white_cube", "blue_pad"))
+    wanted = wanted_of([goal], [rule], [TEAM], ENTITIES, torch.device("cpu"))
+    with torch.inference_mode():
+        scores = NETWORK.planner(table, wanted.shares(TARGETS))
+    return move_named(
+        move_of(scores.argmax(1), CARGO, TARGETS)[0].tolist(), TEAM, ENTITIES
+    )
+
+
+def test_no_move_is_planned_that_neither_goal_nor_rule_asks_for() -> None:
+    table = scene()
+    # White lies on blue already; red is left.
+    first = best(table)
+    assert first.pick == "red_cube"
+    assert first.place == "red_pad" or first.place.startswith("shared")
+    without = best(table, ("without", first.robot))
+    assert without.robot != first.robot
+    assert without.pick == "red_cube"
+    assert best(table, ("but", "red_cube")).pick != "red_cube"
+    red, pad = ENTITIES.number("red_cube"), ENTITIES.number("red_pad")
+    done = table.moved(torch.tensor([red]), torch.tensor([pad]))
+    assert best(done) == STOP
+
+
+def test_hidden_cubes_are_remembered_where_they_were_put() -> None:
+    red, white = map(ENTITIES.number, ("red_cube", "white_cube"))
+    memory = scene().moved(torch.tensor([red]), torch.tensor([white]))
+    hidden = memory.there.clone()
+    hidden[0, white] = False
+    found = recalled(replace(memory, there=hidden), memory)
+    assert found.there[0, white]
+    assert found.on()[0, red, white]
+    assert not found.clear[0, white]
+
+
+def test_named_things_are_those_of_the_goal() -> None:
+    goal = (("red_cube", "red_pad"), ("white_cube", "red_cube"))
+    wanted = wanted_of([goal], [()], [TEAM], ENTITIES, torch.device("cpu"))
+    named = named_entities(wanted.shares(TARGETS), ENTITIES)
+    names = {ENTITIES.names[k] for k in torch.nonzero(named[0]).flatten().tolist()}
+    assert names == {"red_cube", "red_pad", "white_cube"}
