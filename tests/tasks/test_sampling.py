@@ -52,10 +52,8 @@ def boxes(placed: ObjectPlacement) -> list[Box]:
     half = STICK_SECTION_M / 2
     if placed.kind != "stick":
         parts = placed.entity.kind.parts
-        return [
-            (placed.pose @ Pose2(*part.position_m[:2]), part.size_m[0], part.size_m[1])
-            for part in parts
-        ]
+        at = [(placed.pose @ Pose2(*p.position_m[:2]), p.size_m) for p in parts]
+        return [(pose, size[0], size[1]) for pose, size in at]
     hook_u, hook_v = HANDLE_LENGTH_M - half, HOOK_LENGTH_M / 2 - half
     return [
         (placed.pose @ Pose2(HANDLE_LENGTH_M / 2, 0.0), HANDLE_LENGTH_M / 2, half),
