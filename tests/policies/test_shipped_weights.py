@@ -98,7 +98,7 @@ def as_numbers(pose: Pose2) -> tuple[float, float, float]:
 
 @pytest.mark.slow
 @pytest.mark.render
-@pytest.mark.parametrize("name", ["reachnet", "m-cliport"])
+@pytest.mark.parametrize("name", ["reachnet", "m-cliport", "team-reachnet+oracle"])
 def test_the_order_of_episodes_changes_no_episode(name: str) -> None:
     player = Player.load(PolicySpec(name))
     found = []

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.env.view import View
 from lemma.policies.interfaces import Decision, PastStep, PolicyInput
-from lemma.policies.together.adapters import Greedy, Turns
+from lemma.policies.spec import PolicySpec
+from lemma.policies.together.adapters import Greedy, Turns, WithExpertPoses
 from lemma.policies.together.each_asked import EachAsked
 from lemma.policies.together.interfaces import (
     Choice,
@@ -17,6 +19,7 @@ from lemma.policies.together.interfaces import (
     RobotInput,
     TeamInput,
 )
+from lemma.policies.together.loading import team_of
 from lemma.tasks.subtask import STOP, GroundedSubTask, Primitive, SubTask
 
 VIEW = View(
@@ -131,3 +134,20 @@ def test_a_message_reaches_those_that_are_asked_later() -> None:
         policy.answers["robot_0"] = wrong
         with pytest.raises(ValueError, match=r"itself alone|200 characters"):
             EachAsked(policy).act_together([given])  # type: ignore[arg-type]
+
+
+class InSymbols:
+    symbolic = True
+
+    def act_together(self, inputs: Sequence[TeamInput]) -> list[list[SubTask]]:
+        return [[RED] for _ in inputs]
+
+
+def test_a_policy_that_never_gives_poses_is_not_played_without_a_grounder() -> None:
+    def load(name: str) -> InSymbols:
+        return InSymbols()
+
+    with pytest.raises(InvalidConfigError, match=r"mine:It\+oracle"):
+        team_of(PolicySpec("mine:It"), load)
+    team = team_of(PolicySpec("mine:It+oracle"), load)
+    assert isinstance(team, WithExpertPoses)

@@ -45,8 +45,12 @@ LOWEST_M, HIGHEST_M = 0.016, 0.5
 """Range of a target's height [m], with the fingertips above the table."""
 UNITS = (1.0, 1.0, 1.0, 1.0, 0.1, 1.0, *[0.3] * 3, 0.5, *[0.3] * 3)
 """Divisors that scale the numbers of a goal state to about 1."""
+OBJECT, PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
+"""Columns of a goal state where object and place begin."""
+HOLDS = NUMBERS.index("holds")
+"""Column of a goal state: whether the hand holds the object."""
 _NEAR_M = 0.05
-_NEAR = (NUMBERS.index("object_forward"), NUMBERS.index("place_forward"))
+_NEAR = (OBJECT, PLACE)
 FEATURE_NAMES = (
     *NUMBERS,
     *(f"{part}_{way}_nearby" for part in ("object", "place") for way in COLUMNS[:3]),
@@ -136,7 +140,7 @@ def pace(goal_state: Tensor) -> Tensor:
     """
     at = _NEAR[0]
     far = torch.linalg.vector_norm(goal_state[..., at : at + 3], dim=-1, keepdim=True)
-    holds = goal_state[..., NUMBERS.index("holds") :][..., :1] > 0.5
+    holds = goal_state[..., HOLDS : HOLDS + 1] > 0.5
     return torch.where(holds, 1.0, (far / SLOW_M).clamp(SLOWEST, 1.0))
 
 

@@ -17,8 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lemma.env.signals.goal_state import NUMBERS
 from lemma.policies.control.hand_steps import (
+    HOLDS,
+    OBJECT,
+    PLACE,
     STEP_M,
     Arms,
     HandPolicy,
@@ -33,8 +35,6 @@ from lemma.policies.control.hand_steps import (
 from lemma.policies.control.interfaces import Actions, ControlInput
 from lemma.scene.objects.entity import kind_of
 
-_OBJECT, _PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
-_HOLDS = NUMBERS.index("holds")
 _OPEN, _RISE = ((0.0, 0.0, 0.0, 0.0, 1.0),), ((0.0, 0.0, 1.0, 0.0, 1.0),)
 _OPEN_STEPS, _RISE_STEPS, _PARK_STEPS, _ACT_STEPS = 3, 20, 60, 250
 """Longest durations of the phases [control steps]."""
@@ -138,8 +138,8 @@ class HandTeam:
         away = self._here[:, :2] - self._base[:, :2]
         self._ahead = away / torch.linalg.vector_norm(away, dim=1, keepdim=True)
         first = self._goal[0]
-        at = self._here[0, :2] + self._world(first[_OBJECT : _OBJECT + 2])
-        self._place = at + self._world(first[_PLACE : _PLACE + 2])
+        at = self._here[0, :2] + self._world(first[OBJECT : OBJECT + 2])
+        self._place = at + self._world(first[PLACE : PLACE + 2])
         before, self._object = self._object, at
         if before is None or self._phase != "act":
             return
@@ -210,28 +210,28 @@ class HandTeam:
 
     def _height_m(self, goal: Tensor) -> float:
         """Return the present height of the object's grasp [m]."""
-        return float(self._here[self.robot, 2] + goal[0, _OBJECT + 2])
+        return float(self._here[self.robot, 2] + goal[0, OBJECT + 2])
 
     def _as_learned(self, goal: Tensor) -> None:
         """Set the place of the acting robot's goal state, (1, 13), as in training.
 
         For an empty hand the place is a pad, and a spot counts as the top of a pad.
         """
-        holds = goal[0, _HOLDS] > 0.5
+        holds = goal[0, HOLDS] > 0.5
         if self.spot is not None:
             assert self._object is not None
             way, (x, y) = self.spot - self._object, self._ahead[self.robot]
-            goal[0, _PLACE] = x * way[0] + y * way[1]
-            goal[0, _PLACE + 1] = x * way[1] - y * way[0]
-            goal[0, _PLACE + 2] = self._rest_m + _PAD_M - self._height_m(goal)
+            goal[0, PLACE] = x * way[0] + y * way[1]
+            goal[0, PLACE + 1] = x * way[1] - y * way[0]
+            goal[0, PLACE + 2] = self._rest_m + _PAD_M - self._height_m(goal)
         if not holds and not self._held:
-            goal[0, _PLACE + 2] = _PAD_M
+            goal[0, PLACE + 2] = _PAD_M
 
     def _judge(self, goal: Tensor) -> None:
         """Open the fingers if the object is at its place, or after a time limit."""
-        holds = bool(goal[0, _HOLDS] > 0.5)
-        beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
-        above = -float(goal[0, _PLACE + 2])
+        holds = bool(goal[0, HOLDS] > 0.5)
+        beside = math.hypot(*goal[0, PLACE : PLACE + 2].tolist())
+        above = -float(goal[0, PLACE + 2])
         # A spot has no pad, so the hand may be lower there.
         level = above < _LEVEL_M and (self.spot is not None or above > -_LEVEL_M)
         near = beside < (_ON_M if self.spot is None else _AT_M) and level
@@ -260,8 +260,8 @@ class HandTeam:
         one = Arms(*(part[k] for part in self._arms.parts))
         base = self._base[k]
         target = advance(self._target[k], row, self._here[k], base, one, slow)
-        if self._phase == "act" and goal[0, _HOLDS] > 0.5:
-            beside = math.hypot(*goal[0, _PLACE : _PLACE + 2].tolist())
+        if self._phase == "act" and goal[0, HOLDS] > 0.5:
+            beside = math.hypot(*goal[0, PLACE : PLACE + 2].tolist())
             least = _CARRY_SLOPE * (beside - _CARRY_BESIDE_M)
             target[0, 2] = target[0, 2].clamp(min=min(max(least, 0.0), _CARRY_M))
         self._rows = self._rows.copy()

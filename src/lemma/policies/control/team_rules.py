@@ -11,12 +11,17 @@ Since the rules have no memory, the same state always has the same action.
 import torch
 from torch import Tensor
 
-from lemma.policies.control.hand_steps import GRIP_M, STEP_M, TURN_RAD, wrapped
-from lemma.policies.control.team_steps import (
-    CUBE_M,
+from lemma.policies.control.hand_steps import (
+    GRIP_M,
     HOLDS,
     OBJECT,
     PLACE,
+    STEP_M,
+    TURN_RAD,
+    wrapped,
+)
+from lemma.policies.control.team_steps import (
+    CUBE_M,
     Team,
     TeamPolicy,
 )

@@ -18,10 +18,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lemma.env.signals.goal_state import NUMBERS
 from lemma.motion.arm_motion import park_joints
 from lemma.policies.control.hand_steps import (
     FEATURES,
+    OBJECT,
+    PLACE,
     TURN_RAD,
     Arms,
     HandPolicy,
@@ -39,8 +40,6 @@ from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.ur.arms import ARMS
 from lemma.robots.ur.kinematics import forward
 
-OBJECT, PLACE = NUMBERS.index("object_forward"), NUMBERS.index("place_forward")
-HOLDS = NUMBERS.index("holds")
 _NEAR_M, _MARGIN_M, _FAR_M = 0.05, 0.1, 0.3
 CUBE_M = 0.025
 """Height of the grasp position of a cube on the table [m]."""

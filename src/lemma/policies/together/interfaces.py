@@ -106,7 +106,11 @@ class Orders:
 
 @runtime_checkable
 class TeamPolicy(Protocol):
-    """Decides for all free robots of a team. Subclass it, or write the method."""
+    """Decides for all free robots of a team. Subclass it, or write the method.
+
+    A policy with the attribute ``symbolic = True`` never gives poses, so its name needs
+    a grounder, such as ``+oracle``.
+    """
 
     def act_together(
         self, inputs: Sequence[TeamInput]

@@ -53,6 +53,11 @@ def team_of(spec: PolicySpec, load: Load | None = None) -> TeamPolicy:
         )
     if more == [ORACLE]:
         return WithExpertPoses(team)
+    if not more and getattr(part, "symbolic", False) is True:
+        raise InvalidConfigError(
+            f"{spec.name} orders sub-tasks without poses. Add the expert's, as "
+            f"{spec.name}+{ORACLE}."
+        )
     return WithGrounder(team, spec.part(more[0], load)) if more else team
 
 

@@ -9,7 +9,6 @@ until all arms are at rest, looks again, and orders one move at a time.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import torch
@@ -18,10 +17,7 @@ from torch.nn import functional as F
 
 from lemma.core.arguments import Cost, Depth
 from lemma.env.view import View
-from lemma.policies.batch import (
-    NOBODY,
-    Batch,
-)
+from lemma.policies.batch import NOBODY, Batch
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.layers import constant
@@ -107,13 +103,6 @@ class TeamReachNetConfig(MapConfig):
     """Decrease of a move's log-probability for each failure since the last success."""
 
 
-class Scene(NamedTuple):
-    """B scenes as the policy knows them, with the readings of their sentences."""
-
-    table: TeamTable
-    read: Reading
-
-
 class TeamReachNet(MapModel):
     """Plans moves of cubes for a team, from a map, joints and an instruction."""
 
@@ -121,6 +110,7 @@ class TeamReachNet(MapModel):
     reads_outcomes = True
     of_fixed_shape = True
     of_any_team = True
+    symbolic = True
 
     def __init__(self, config: TeamReachNetConfig | None = None) -> None:
         """Make the weights.
@@ -336,8 +326,10 @@ class TeamReachNet(MapModel):
                     cost[number_of(again, cargo, targets)] = _LOUDEST
         return steps, order_of_parts(read, self.entities)
 
-    def _look(self, given: PolicyInput, view: View, team: tuple[str, ...]) -> Scene:
-        """Return what is seen in a view, and what the instruction says."""
+    def _look(
+        self, given: PolicyInput, view: View, team: tuple[str, ...]
+    ) -> tuple[TeamTable, Reading]:
+        """Return the scene in a view, and the reading of the instruction."""
         first = given.past[0].view if given.past else given.view
         there = numbers_by_color([team], self.device) >= 0
         weak = weak_hands([given.hands], [team], self.device)
@@ -348,7 +340,7 @@ class TeamReachNet(MapModel):
         named = named_entities(read, self.entities)
         start = team_table(self.eye.table(*seen, named), there, weak)
         if view is first:
-            return Scene(start, read)
+            return start, read
         seen = self._seen(replace(given, view=view), team)
         now = team_table(self.eye.table(*seen), there, weak)
         memory = start
@@ -356,7 +348,7 @@ class TeamReachNet(MapModel):
             if step.outcome == _SUCCESS and step.subtask.primitive == Primitive.MOVE:
                 move = numbers_of(step.subtask, team, self.entities).to(self.device)
                 memory = memory.moved(move[:, 1], move[:, 2])
-        return Scene(recalled(now, memory), read)
+        return recalled(now, memory), read
 
     def _seen(
         self, given: PolicyInput, team: tuple[str, ...]
