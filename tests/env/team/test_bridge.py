@@ -11,8 +11,6 @@ import lemma
 from lemma.core.errors import InvalidActionError, InvalidConfigError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.action_spaces import encode_plan, picks, places
-from lemma.env.episode import Episode
-from lemma.expert.expert import Expert, solve
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.planning.grounding import (
     GeometricGrounder,
@@ -33,13 +31,11 @@ from lemma.scene.scene import Scene
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.language.template import Template
-from lemma.tasks.sampling import sample
 from lemma.tasks.subtask import Primitive, SubTask
-from lemma.tasks.suite import TASKS, load_instance
+from lemma.tasks.suite import load_instance
 from lemma.tasks.teams.coalitions import needed
 from lemma.tasks.zones import Territory
 
-FRESH = 30
 PRESS = 1e-5
 """Depth of an object in its support [m]: contacts are soft."""
 HALF = PLANK_SPAN_M / 2
@@ -244,20 +240,6 @@ def test_only_its_task_counts_the_plank() -> None:
     other = lemma.make("sort", level="plan", split="val")
     with pytest.raises(InvalidConfigError, match="Make the environment of bridge"):
         other.reset(options={"instance": instance})
-
-
-# --- Fresh tables ------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_expert_solves_fresh_tables() -> None:
-    solved = 0
-    for index in range(FRESH):
-        episode = Episode(sample(TASKS["bridge"], "free", index).instance)
-        expert = Expert(episode.simulation.scene, episode.instance.goal)
-        steps = list(solve(episode, expert))
-        solved += episode.is_success and len(steps) == TASKS["bridge"].subtasks
-    assert solved >= 0.95 * FRESH
 
 
 # --- Sentences ---------------------------------------------------------------------

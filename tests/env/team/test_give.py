@@ -9,13 +9,9 @@ import pytest
 import lemma
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose2
-from lemma.dataset.recipe.record import record_episode
-from lemma.dataset.recipe.replay import replay
 from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
 from lemma.env.team.orders import Team
-from lemma.expert.expert import Expert, solve
-from lemma.expert.together import solve_together
 from lemma.motion.moves import Motion, Moves
 from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GeometricGrounder, ground_or_refuse
@@ -39,7 +35,6 @@ from lemma.tasks.teams.layouts import gap_out_of_reach
 from lemma.tasks.zones import Territory
 
 APART_M = 1.7
-FRESH = 20
 HIGH_M = 0.2
 """The rod is at least so high as it changes hands."""
 LEFT, RIGHT = Pose2(-APART_M / 2, 0.0), Pose2(APART_M / 2, 0.0, math.pi)
@@ -308,40 +303,6 @@ def test_the_giver_may_be_told_in_an_environment() -> None:
     assert ended["robot"] == order.robot
     assert ended["outcome"] == "success"
     assert info["success"]
-
-
-# --- The family --------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_expert_solves_fresh_tables() -> None:
-    solved = 0
-    for index in range(FRESH):
-        episode = Episode(instance(index))
-        steps = list(
-            solve(episode, Expert(episode.simulation.scene, episode.instance.goal))
-        )
-        solved += episode.is_success and len(steps) == TASKS["give"].subtasks
-        assert episode.is_success == (episode.progress == 1.0)
-    assert solved >= 0.95 * FRESH
-
-
-@pytest.mark.slow
-def test_together_is_what_turns_are() -> None:
-    episode, other = Episode(instance()), Episode(instance())
-    assert all(step.result.ok for step in solve_together(episode))
-    list(solve(other, Expert(other.simulation.scene, other.instance.goal)))
-    assert episode.is_success
-    hashes = {e.simulation.scene.state_hash() for e in (episode, other)}
-    assert len(hashes) == 1
-
-
-@pytest.mark.slow
-def test_a_demonstration_replays_to_the_bit() -> None:
-    record = record_episode(instance(1))
-    assert record.success
-    assert "to your partner" in record.subtasks[0].instruction
-    assert replay(record).is_exact
 
 
 def test_a_rod_is_held_at_either_end() -> None:
