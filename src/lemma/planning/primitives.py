@@ -272,18 +272,24 @@ def _propose_move(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTas
             yield SubTask(robot, Primitive.MOVE, wish.item, place)
 
 
-def _propose_carry(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
-    """Propose to carry what two robots carry, whoever reaches its middle."""
-    if is_carried(wish.item):
-        for place in wish.places:
-            yield SubTask(robot, Primitive.CARRY, wish.item, place)
+def _has_two_ends(name: str) -> bool:
+    return kind_of(name).ends is not None
 
 
-def _propose_give(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
-    """Propose to give away what has two ends, whoever reaches its middle."""
-    if kind_of(wish.item).ends is not None:
-        for place in wish.places:
-            yield SubTask(robot, Primitive.GIVE, wish.item, place)
+def _propose_joint(primitive: Primitive, fits: Callable[[str], bool]) -> Candidates:
+    """Return a function that proposes a joint sub-task to any robot.
+
+    Args:
+        primitive: The primitive.
+        fits: Whether it is for an object.
+    """
+
+    def propose(robot: str, wish: Wish, now: SymbolicState) -> Iterator[SubTask]:
+        if fits(wish.item):
+            for place in wish.places:
+                yield SubTask(robot, primitive, wish.item, place)
+
+    return propose
 
 
 def _propose_hand(primitive: Primitive) -> Candidates:
@@ -365,25 +371,30 @@ for _hand, _phrase in (
             why_not=why_not_hand,
         ),
     )
-PRIMITIVES.add(
-    Primitive.CARRY,
-    PrimitiveSpec(
-        name=Primitive.CARRY,
-        phrase="{robot}: carry the {pick} onto the {place} with your partner",
-        skill=SKILLS[Primitive.CARRY],
-        ground=ground_carry,
-        candidates=_propose_carry,
-        why_not=why_not_carry,
+for _joint, _phrase, _fits, _ground, _why_not in (
+    (
+        Primitive.CARRY,
+        "carry the {pick} onto the {place} with your partner",
+        is_carried,
+        ground_carry,
+        why_not_carry,
     ),
-)
-PRIMITIVES.add(
-    Primitive.GIVE,
-    PrimitiveSpec(
-        name=Primitive.GIVE,
-        phrase="{robot}: give the {pick} to your partner, who puts it onto the {place}",
-        skill=SKILLS[Primitive.GIVE],
-        ground=ground_give,
-        candidates=_propose_give,
-        why_not=why_not_give,
+    (
+        Primitive.GIVE,
+        "give the {pick} to your partner, who puts it onto the {place}",
+        _has_two_ends,
+        ground_give,
+        why_not_give,
     ),
-)
+):
+    PRIMITIVES.add(
+        _joint,
+        PrimitiveSpec(
+            name=_joint,
+            phrase=f"{{robot}}: {_phrase}",
+            skill=SKILLS[_joint],
+            ground=_ground,
+            candidates=_propose_joint(_joint, _fits),
+            why_not=_why_not,
+        ),
+    )
