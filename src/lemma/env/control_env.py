@@ -120,9 +120,7 @@ class ControlEnv(LemmaEnv):
         controller.check(rows)
         controller.command(rows)
         for _ in range(self.config.ticks_per_step):
-            controller.look()
-            simulation.tick(drive=controller.drive)
-            controller.count_busy()
+            simulation.tick(run=controller.run)
         clocks, ticks = simulation.clocks.values(), controller.busy_ticks()
         for clock, busy in zip(clocks, ticks, strict=True):
             # Add tick by tick: a product would differ in the last bits.

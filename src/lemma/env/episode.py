@@ -388,13 +388,7 @@ def _watch_rule(simulation: Simulation, goal: Goal) -> RuleWatch | None:
         return None
     parts = {(on.top, on.bottom): on for on in goal.placements}
     watch = RuleWatch(simulation.scene, goal.rule, parts)
-    coasting = simulation.scene.coasting
-
-    def note() -> None:
-        coasting.note()
-        watch.note()
-
     # None of these holds the simulation, which would be a circle.
-    simulation.note, simulation.fault = note, lambda: watch.broken
+    simulation.fault = lambda: watch.broken
     simulation.observers.append(watch.look)
     return watch

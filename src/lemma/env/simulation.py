@@ -6,6 +6,7 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -27,13 +28,13 @@ from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import Reservations
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.build import TICK_S, TIME_STEP_S
+from lemma.scene.build import STEPS_PER_TICK, TICK_S, TIME_STEP_S
+from lemma.scene.coasting import follow, look, step
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask
 
-STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
 HORIZON_S = 100.0
 """T_max: simulated seconds after which an episode ends (paper, section IV)."""
 
@@ -64,8 +65,6 @@ class Simulation:
         }
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
-        self.note: Callable[[], None] = self.scene.coasting.note
-        """Called after every physics step."""
         self.fault: Callable[[], str | None] = lambda: None
         """Returns why the episode has failed, if that breaks off what robots do."""
         self.pace: Pace | None = None
@@ -74,6 +73,8 @@ class Simulation:
         self._running: dict[str, Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
         self._commands = np.empty((STEPS_PER_TICK, self.scene.model.nu))
+        physics = self.scene.physics
+        self._follow = partial(follow, physics, self._commands)
         for arm in self.arms.values():
             self.scene.set_joints(arm.robot, arm.park, FINGER_OPENING_M)
             arm.sync()
@@ -100,45 +101,35 @@ class Simulation:
     def tick(
         self,
         active: tuple[str, ...] = (),
-        drive: Callable[[], None] | None = None,
+        run: Callable[[], None] | None = None,
     ) -> None:
         """Advance by one servo tick.
 
         Args:
             active: Robots whose reference moves under RMPflow; the servos of the others
                 keep their last command.
-            drive: Called before every physics step, to command servos otherwise.
+            run: Runs this tick instead, with :func:`lemma.scene.coasting.step` and
+                :func:`~lemma.scene.coasting.look`, and commands the servos meanwhile.
 
         Raises:
             PhysicsError: The state has become infinite, or no number at all.
         """
-        model, data = self.scene.model, self.scene.data
-        note, start = self.note, data.time
-        if active:
-            # The reference of RMPflow does not depend on the physics within a tick.
-            control, commands = self._control, self._commands
-            commands[:] = control
-            for name in active:
-                self.arms[name].lead(commands)
-            for row in commands:
-                control[:] = row
-                if drive is not None:
-                    drive()
-                mujoco.mj_step(model, data)
-                note()
+        data = self.scene.data
+        start = data.time
+        if run is not None:
+            run()
         else:
-            for _ in range(STEPS_PER_TICK):
-                if drive is not None:
-                    drive()
-                mujoco.mj_step(model, data)
-                note()
+            # The reference of RMPflow does not depend on the physics within a tick.
+            self._commands[:] = self._control
+            for name in active:
+                self.arms[name].lead(self._commands)
+            self._follow()
         # MuJoCo resets a state that diverges, its time included.
         if not data.time > start:
             raise PhysicsError(
                 f"The physics became unstable {start:g} s after the beginning, and "
                 "what is simulated means nothing any more. Reset before you go on."
             )
-        self.scene.coasting.look()
         for observer in self.observers:
             observer()
 
@@ -333,21 +324,24 @@ class Simulation:
 
     def stand_still(self, seconds: float) -> None:
         """Let time pass while every arm brakes and then stays where it is."""
-        data, drive = self.scene.data, None
+        data, run = self.scene.data, None
         if self.scene.actuation == "velocity":
             for arm in self.arms.values():
                 data.ctrl[arm.robot.ctrl] = 0.0
         elif self.scene.actuation == "torque":
-            drive = self._brake
+            run = self._brake
         for _ in range(math.ceil(seconds / TICK_S)):
-            self.tick(drive=drive)
+            self.tick(run=run)
 
     def _brake(self) -> None:
-        """Command torques against the joints' speeds; motors limit them."""
+        """Run a tick with torques against the joints' speeds; motors limit them."""
         data = self.scene.data
-        for arm in self.arms.values():
-            damping = np.array(arm.robot.arm.damping)
-            data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
+        for _ in range(STEPS_PER_TICK):
+            for arm in self.arms.values():
+                damping = np.array(arm.robot.arm.damping)
+                data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
+            step(self.scene.physics)
+        look(self.scene.physics)
 
     def snapshot(self) -> SimulationSnapshot:
         """Return all that the future depends on.

@@ -12,7 +12,7 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, quaternion_from_matrix
 from lemma.env.control.controllers import Controller, StepSize
 from lemma.env.control.guarded_arm import CAPSULES
-from lemma.env.control.motor_commands import drive_poses
+from lemma.env.control.motor_commands import run_poses
 from lemma.env.control.rotations import (
     Quaternion,
     axis_angle_from_quaternion,
@@ -96,9 +96,7 @@ class PoseController(Controller):
         for k, space in enumerate(spaces):
             # Share memory.
             space.record = self._workspaces[k : k + 1]
-        self._drive = partial(
-            drive_poses, *self.shared, self._workspaces, self._spheres
-        )
+        self._run = partial(run_poses, self.team, self._workspaces, self._spheres)
         self._aim = partial(
             aim_arms,
             *(self.guard.records, self.states, self._parks),
@@ -139,9 +137,9 @@ class PoseController(Controller):
         assert found is not None
         return found
 
-    def drive(self) -> None:
-        """Advance the references."""
-        self._drive()
+    def run(self) -> None:
+        """Advance the references and the physics by one servo tick."""
+        self._run()
 
 
 class AxisAnglePoseController(PoseController):
@@ -174,10 +172,10 @@ class WaypointController(PoseController):
         turn = compose(quaternion_from_matrix(base[:3, :3]), (w, x, y, z))
         self._rows[k, 3:7] = turn
 
-    def look(self) -> None:
-        """Update obstacles and choose swing or straight motion, once per servo tick."""
-        super().look()
+    def run(self) -> None:
+        """Choose swing or straight motion, and run the servo tick."""
         swing_far(self.states, self._workspaces)
+        super().run()
 
 
 class Rot6dWaypointController(WaypointController):
