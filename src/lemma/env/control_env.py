@@ -119,8 +119,7 @@ class ControlEnv(LemmaEnv):
         controller, simulation = self.controller, episode.simulation
         controller.check(rows)
         controller.command(rows)
-        for _ in range(self.config.ticks_per_step):
-            simulation.tick(run=controller.run)
+        simulation.run(controller.run, self.config.ticks_per_step)
         clocks, ticks = simulation.clocks.values(), controller.busy_ticks()
         for clock, busy in zip(clocks, ticks, strict=True):
             # Add tick by tick: a product would differ in the last bits.

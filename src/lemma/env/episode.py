@@ -337,8 +337,8 @@ class Episode:
     def _catch_up(self, snapshot: EpisodeSnapshot) -> None:
         """Carry out anew all that had begun in a snapshot."""
         observers = self.simulation.observers
-        kept, observers[:] = tuple(observers), [self.stages.look]
-        observers += [] if self.rule is None else [self.rule.look]
+        kept = tuple(observers)
+        observers[:] = [] if self.rule is None else [self.rule.look]
         try:
             for one in snapshot.begun:
                 self._pass_until(one.start_s)

@@ -7,6 +7,7 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -45,6 +46,17 @@ usual, 0.5 half as fast, 0 at rest."""
 _SETTLE_TICKS = 30
 
 
+class Watch(Protocol):
+    """Follows a simulation, and looks at it less often than in every tick."""
+
+    @property
+    def due_ticks(self) -> int:
+        """Number of servo ticks until it looks next, at least 1."""
+
+    def look(self, ticks: int) -> None:
+        """Count servo ticks that have passed, and look if it is due."""
+
+
 class Simulation:
     """A scene in motion."""
 
@@ -65,6 +77,9 @@ class Simulation:
         }
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
+        """Called after every servo tick."""
+        self.watch: Watch | None = None
+        """Called before them, when it is due."""
         self.fault: Callable[[], str | None] = lambda: None
         """Returns why the episode has failed, if that breaks off what robots do."""
         self.pace: Pace | None = None
@@ -98,38 +113,53 @@ class Simulation:
         """Simulated time since the first state [s]."""
         return self.scene.time_s
 
-    def tick(
-        self,
-        active: tuple[str, ...] = (),
-        run: Callable[[], None] | None = None,
-    ) -> None:
+    def tick(self, active: tuple[str, ...] = ()) -> None:
         """Advance by one servo tick.
 
         Args:
             active: Robots whose reference moves under RMPflow; the servos of the others
                 keep their last command.
-            run: Runs this tick instead, with :func:`lemma.scene.coasting.step` and
-                :func:`~lemma.scene.coasting.look`, and commands the servos meanwhile.
 
         Raises:
             PhysicsError: The state has become infinite, or no number at all.
         """
+        # The reference of RMPflow does not depend on the physics within a tick.
+        self._commands[:] = self._control
+        for name in active:
+            self.arms[name].lead(self._commands)
+        self._pass(self._follow, 1)
+
+    def run(self, run: Callable[[int], None], ticks: int) -> None:
+        """Advance by servo ticks in which a controller commands the motors.
+
+        Args:
+            run: Runs a number of servo ticks, with :func:`lemma.scene.coasting.step`
+                and :func:`~lemma.scene.coasting.look`.
+            ticks: Number of servo ticks.
+
+        Raises:
+            PhysicsError: The state has become infinite, or no number at all.
+        """
+        while ticks > 0:
+            count = 1 if self.observers else ticks
+            if self.watch is not None:
+                count = min(count, self.watch.due_ticks)
+            self._pass(run, count)
+            ticks -= count
+
+    def _pass(self, run: Callable[[int], None], ticks: int) -> None:
+        """Run servo ticks without observers in between."""
         data = self.scene.data
         start = data.time
-        if run is not None:
-            run()
-        else:
-            # The reference of RMPflow does not depend on the physics within a tick.
-            self._commands[:] = self._control
-            for name in active:
-                self.arms[name].lead(self._commands)
-            self._follow()
+        run(ticks)
         # MuJoCo resets a state that diverges, its time included.
-        if not data.time > start:
+        if not data.time > start + ticks * TICK_S - 0.5 * TIME_STEP_S:
             raise PhysicsError(
                 f"The physics became unstable {start:g} s after the beginning, and "
                 "what is simulated means nothing any more. Reset before you go on."
             )
+        if self.watch is not None:
+            self.watch.look(ticks)
         for observer in self.observers:
             observer()
 
@@ -324,24 +354,26 @@ class Simulation:
 
     def stand_still(self, seconds: float) -> None:
         """Let time pass while every arm brakes and then stays where it is."""
-        data, run = self.scene.data, None
+        data, ticks = self.scene.data, math.ceil(seconds / TICK_S)
+        if self.scene.actuation == "torque":
+            self.run(self._brake, ticks)
+            return
         if self.scene.actuation == "velocity":
             for arm in self.arms.values():
                 data.ctrl[arm.robot.ctrl] = 0.0
-        elif self.scene.actuation == "torque":
-            run = self._brake
-        for _ in range(math.ceil(seconds / TICK_S)):
-            self.tick(run=run)
+        for _ in range(ticks):
+            self.tick()
 
-    def _brake(self) -> None:
-        """Run a tick with torques against the joints' speeds; motors limit them."""
+    def _brake(self, ticks: int) -> None:
+        """Run servo ticks with torques against the joints' speeds; motors limit them."""
         data = self.scene.data
-        for _ in range(STEPS_PER_TICK):
-            for arm in self.arms.values():
-                damping = np.array(arm.robot.arm.damping)
-                data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
-            step(self.scene.physics)
-        look(self.scene.physics)
+        for _ in range(ticks):
+            for _ in range(STEPS_PER_TICK):
+                for arm in self.arms.values():
+                    damping = np.array(arm.robot.arm.damping)
+                    data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
+                step(self.scene.physics)
+            look(self.scene.physics)
 
     def snapshot(self) -> SimulationSnapshot:
         """Return all that the future depends on.

@@ -167,7 +167,7 @@ class StageWatch:
         """The furthest progress so far."""
         self.first: FirstMove | None = None
         """The first object that was moved; None before."""
-        simulation.observers.append(self.look)
+        simulation.watch = self
 
     @cached_property
     def plan(self) -> tuple[SubTask, ...]:
@@ -220,10 +220,15 @@ class StageWatch:
         self._stood = None if state.stood is None else list(state.stood)
         self.furthest, self.first = state.furthest, state.first
 
-    def look(self) -> None:
-        """Update from the present state, after a servo tick."""
+    @property
+    def due_ticks(self) -> int:
+        """Number of servo ticks until the next update."""
+        return LOOK_TICKS - self._ticks % LOOK_TICKS
+
+    def look(self, ticks: int) -> None:
+        """Count servo ticks, and update from the present state if it is time."""
         simulation, data = self._simulation, self._scene.data
-        self._ticks += 1
+        self._ticks += ticks
         if self._ticks % LOOK_TICKS:
             return
         near, moved = is_near_or_moved(

@@ -272,13 +272,14 @@ def step(physics: Physics) -> None:
 
 
 @kernel(nogil=True)
-def follow(physics: Physics, commands: FloatArray) -> None:
-    """Run a servo tick with motor commands, (steps, nu)."""
+def follow(physics: Physics, commands: FloatArray, ticks: int) -> None:
+    """Run servo ticks, each with the same motor commands, (steps, nu)."""
     control = physics[12]
-    for row in commands:
-        control[:] = row
-        step(physics)
-    look(physics)
+    for _ in range(ticks):
+        for row in commands:
+            control[:] = row
+            step(physics)
+        look(physics)
 
 
 @kernel

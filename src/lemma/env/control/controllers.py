@@ -19,13 +19,12 @@ from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray
 from lemma.env.control.motor_commands import (
     Team,
-    begin,
     end,
     run_positions,
     run_velocities,
     step_torques,
 )
-from lemma.env.control.safety_filter import SafetyFilter
+from lemma.env.control.safety_filter import SafetyFilter, find_obstacles
 from lemma.motion.arm_motion import ArmMotion
 from lemma.scene.build import STEPS_PER_TICK
 
@@ -83,8 +82,8 @@ class Controller(ABC):
             arm.opening_m = opening_m
 
     @abstractmethod
-    def run(self) -> None:
-        """Advance the physics by one servo tick, and command the motors meanwhile."""
+    def run(self, ticks: int) -> None:
+        """Advance the physics by servo ticks, and command the motors meanwhile."""
 
     def busy_ticks(self) -> list[int]:
         """Return the number of servo ticks in which each arm moved since the last call.
@@ -115,9 +114,9 @@ class JointController(Controller):
         super().command(rows)
         self.wanted[:] = rows[:, :6]
 
-    def run(self) -> None:
-        """Advance the references and the physics by one servo tick."""
-        self._run()
+    def run(self, ticks: int) -> None:
+        """Advance the references and the physics by servo ticks."""
+        self._run(ticks)
 
 
 class PositionController(JointController):
@@ -154,14 +153,15 @@ class TorqueController(JointController):
         super().command(rows)
         np.clip(self.wanted, -self._efforts, self._efforts, out=self.wanted)
 
-    def run(self) -> None:
-        """Run a servo tick with the torques that the joints' velocity limits allow."""
+    def run(self, ticks: int) -> None:
+        """Run servo ticks with the torques that the joints' velocity limits allow."""
         physics, guard, records, _, _, counts = self.team
-        begin(physics, guard, records)
-        for _ in range(STEPS_PER_TICK):
-            self._update_dynamics()
-            self._run()
-        end(physics, records, counts)
+        for _ in range(ticks):
+            find_obstacles(guard, records, self.scene.data.qpos)
+            for _ in range(STEPS_PER_TICK):
+                self._update_dynamics()
+                self._run()
+            end(physics, records, counts)
 
     def _update_dynamics(self) -> None:
         """Compute the inertia matrix and bias forces of the present state."""

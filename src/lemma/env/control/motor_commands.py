@@ -1,4 +1,4 @@
-"""Kernels that advance the physics by a servo tick, with motor commands of all arms.
+"""Kernels that advance the physics by servo ticks, with motor commands of all arms.
 
 There is one kernel for each control mode. Before each physics step it advances
 references, applies the safety filter and writes the commands. Each takes a
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
 from lemma.env.control.safety_filter import Guard, find_obstacles, keep_clear
-from lemma.motion.arm_motion import SUBSTEP_S, SUBSTEPS
+from lemma.motion.arm_motion import POSTURE_ALONE, SUBSTEP_S, SUBSTEPS
 from lemma.motion.rmpflow.policy import integrate, solve
 from lemma.scene.build import STEPS_PER_TICK, TIME_STEP_S
 from lemma.scene.coasting import Physics, look, step
@@ -28,73 +28,85 @@ of the grippers, (n,) [m]; and in how many servo ticks each moved, (n,)."""
 ACCELERATION_RAD_S2 = 10.0
 """Largest acceleration of a joint's reference, which a stretched arm can follow."""
 
+SWING_RAD = 0.25
+"""An arm whose base joint has to turn further than this swings around first."""
 _MOVING_RAD_S = 0.02
 _MOVING_M_S = 0.002
 
 
 @kernel(nogil=True)
-def run_positions(team: Team, targets: FloatArray) -> None:
+def run_positions(team: Team, targets: FloatArray, ticks: int) -> None:
     """Move joints to angles, (n, 6) [rad], with trapezoidal velocity profiles."""
     physics, guard, records, states, openings, counts = team
-    begin(physics, guard, records)
     qpos, control = borrowed(physics[10]), borrowed(physics[12])
     obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, targets = borrowed(states), borrowed(targets)
-    for _ in range(STEPS_PER_TICK):
-        for k in range(records.shape[0]):
-            arm, state = records[k], states[k]
-            approach(state, targets[k], arm.speeds)
-            keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
-            advance(state, arm.range)
-            _send_reference(arm, state, openings[k], qpos, control)
-        step(physics)
-    end(physics, records, counts)
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                approach(state, targets[k], arm.speeds)
+                keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+                advance(state, arm.range)
+                _send_reference(arm, state, openings[k], qpos, control)
+            step(physics)
+        end(physics, records, counts)
 
 
 @kernel(nogil=True)
-def run_velocities(team: Team, wanted: FloatArray) -> None:
+def run_velocities(team: Team, wanted: FloatArray, ticks: int) -> None:
     """Move joints at speeds, (n, 6) [rad/s]; reference angles are the measured ones."""
     physics, guard, records, states, openings, counts = team
-    begin(physics, guard, records)
     qpos, control = borrowed(physics[10]), borrowed(physics[12])
     obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, wanted = borrowed(states), borrowed(wanted)
-    for _ in range(STEPS_PER_TICK):
-        for k in range(records.shape[0]):
-            arm, state = records[k], states[k]
-            state[0] = qpos[arm.qpos : arm.qpos + 6]
-            accelerate(state, wanted[k], arm.speeds, arm.range)
-            keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
-            control[arm.ctrl : arm.ctrl + 6] = state[1]
-            control[arm.gripper_ctrl] = openings[k]
-        step(physics)
-    end(physics, records, counts)
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                state[0] = qpos[arm.qpos : arm.qpos + 6]
+                accelerate(state, wanted[k], arm.speeds, arm.range)
+                keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+                control[arm.ctrl : arm.ctrl + 6] = state[1]
+                control[arm.gripper_ctrl] = openings[k]
+            step(physics)
+        end(physics, records, counts)
 
 
 @kernel(nogil=True)
-def run_poses(team: Team, workspaces: np.ndarray, spheres: FloatArray) -> None:
-    """Follow RMPflow, given its records (n,) and spheres (n, m, 6)."""
+def run_poses(
+    team: Team, workspaces: np.ndarray, spheres: FloatArray, swings: bool, ticks: int
+) -> None:
+    """Follow RMPflow, given its records (n,) and spheres (n, m, 6).
+
+    If an arm ``swings``, it moves in joint space while its base has far to turn.
+    """
     physics, guard, records, states, openings, counts = team
-    begin(physics, guard, records)
     qpos, control = borrowed(physics[10]), borrowed(physics[12])
     obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, spheres = borrowed(states), borrowed(spheres)
     before, rates = np.empty(6), np.empty(6)
-    for _ in range(STEPS_PER_TICK):
-        for k in range(records.shape[0]):
-            arm, state = records[k], states[k]
-            before[:] = state[0]
-            workspace = workspaces[k : k + 1]
-            integrate(workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS)
-            for i in range(6):
-                rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
-            if keep_clear(arm, obstacles[k], objects[k], before, rates):
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        if swings:
+            swing_far(states, workspaces)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                before[:] = state[0]
+                workspace = workspaces[k : k + 1]
+                integrate(workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS)
                 for i in range(6):
-                    state[0, i] = before[i] + TIME_STEP_S * rates[i]
-                    state[1, i] = rates[i]
-            _send_reference(arm, state, openings[k], qpos, control)
-        step(physics)
-    end(physics, records, counts)
+                    rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
+                if keep_clear(arm, obstacles[k], objects[k], before, rates):
+                    for i in range(6):
+                        state[0, i] = before[i] + TIME_STEP_S * rates[i]
+                        state[1, i] = rates[i]
+                _send_reference(arm, state, openings[k], qpos, control)
+            step(physics)
+        end(physics, records, counts)
 
 
 @kernel
@@ -135,12 +147,6 @@ def step_torques(
 
 
 @kernel
-def begin(physics: Physics, guard: Guard, records: np.ndarray) -> None:
-    """Begin a servo tick: find the obstacles."""
-    find_obstacles(guard, records, physics[10])
-
-
-@kernel
 def end(physics: Physics, records: np.ndarray, counts: NDArray[np.int64]) -> None:
     """End a servo tick: look at the objects, and count it for each arm that moves.
 
@@ -154,6 +160,22 @@ def end(physics: Physics, records: np.ndarray, counts: NDArray[np.int64]) -> Non
             if abs(qvel[start + i]) > (_MOVING_RAD_S if i < 6 else _MOVING_M_S):
                 moving = True
         counts[k] += moving
+
+
+@kernel
+def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
+    """Select joint-space motion for arms whose base has far to turn, else straight.
+
+    Args:
+        states: The references of n arms, (n, 2, 6) [rad, rad/s].
+        workspaces: The records of RMPflow, (n,), each with a posture; their weights are
+            written.
+    """
+    for k in range(states.shape[0]):
+        goal = workspaces[k].goal
+        far = abs(goal.posture[0] - states[k, 0, 0]) > SWING_RAD
+        goal.target_weight = 0.0 if far else 1.0
+        goal.posture_weight = POSTURE_ALONE if far else 1.0
 
 
 @kernel

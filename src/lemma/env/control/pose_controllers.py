@@ -35,8 +35,6 @@ HIGHEST_FROM_BASE_M = (CEILING_M, CEILING_M, CEILING_M)
 """The same, in the frame of a robot's base, which stands on the table."""
 LEASH_STEPS = 2.0
 """How far a target of delta actions can be ahead of the arm, in steps."""
-SWING_RAD = 0.25
-"""An arm whose base joint has to turn further than this swings around first."""
 
 _LEAST_NORM = 1e-3
 
@@ -84,6 +82,8 @@ class PoseController(Controller):
 
     rotation = QUATERNION
     """Representation of rotations, after the position."""
+    swings = False
+    """Whether arms whose base has far to turn swing around first."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are."""
@@ -96,7 +96,9 @@ class PoseController(Controller):
         for k, space in enumerate(spaces):
             # Share memory.
             space.record = self._workspaces[k : k + 1]
-        self._run = partial(run_poses, self.team, self._workspaces, self._spheres)
+        self._run = partial(
+            run_poses, self.team, self._workspaces, self._spheres, self.swings
+        )
         self._aim = partial(
             aim_arms,
             *(self.guard.records, self.states, self._parks),
@@ -137,9 +139,9 @@ class PoseController(Controller):
         assert found is not None
         return found
 
-    def run(self) -> None:
-        """Advance the references and the physics by one servo tick."""
-        self._run()
+    def run(self, ticks: int) -> None:
+        """Advance the references and the physics by servo ticks."""
+        self._run(ticks)
 
 
 class AxisAnglePoseController(PoseController):
@@ -162,6 +164,8 @@ class WaypointController(PoseController):
     arm would have to fold or would stop.
     """
 
+    swings = True
+
     def _write_target(self, k: int, row: FloatArray) -> None:
         base = self.arms[k].robot.world_from_base
         # Add term by term, so that the last bit does not depend on a library.
@@ -172,10 +176,6 @@ class WaypointController(PoseController):
         turn = compose(quaternion_from_matrix(base[:3, :3]), (w, x, y, z))
         self._rows[k, 3:7] = turn
 
-    def run(self) -> None:
-        """Choose swing or straight motion, and run the servo tick."""
-        swing_far(self.states, self._workspaces)
-        super().run()
 
 
 class Rot6dWaypointController(WaypointController):
@@ -303,19 +303,3 @@ def aim_arms(
             pose,
             goal.posture,
         )
-
-
-@kernel
-def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
-    """Select joint-space motion for arms whose base has far to turn, else straight.
-
-    Args:
-        states: The references of n arms, (n, 2, 6) [rad, rad/s].
-        workspaces: The records of RMPflow, (n,), each with a posture; their weights are
-            written.
-    """
-    for k in range(states.shape[0]):
-        goal = workspaces[k].goal
-        far = abs(goal.posture[0] - states[k, 0, 0]) > SWING_RAD
-        goal.target_weight = 0.0 if far else 1.0
-        goal.posture_weight = POSTURE_ALONE if far else 1.0
