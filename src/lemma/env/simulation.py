@@ -263,7 +263,7 @@ class Simulation:
             if ended or data.time >= end:
                 return ended
             try:
-                self.tick((*self.busy, *self._mind_others()))
+                self.tick((*self._running, *self._mind_others()))
             except BaseException:
                 # An observer may break everything off by raising something.
                 while self._running:
@@ -290,14 +290,14 @@ class Simulation:
 
     def _end_those_done(self) -> tuple[Ended, ...]:
         """Let every skill look at the present state once; free robots that are done."""
-        ended = []
-        for name in self.busy:
+        ended, now_s = [], self.time_s
+        for name in [name for name in self.arms if name in self._running]:
             if name not in self._running:
                 # It ended with its partner.
                 continue
             running = self._running[name]
             try:
-                if running.looks(self.time_s, self._keep_pace(name)):
+                if running.looks(now_s, self._keep_pace(name)):
                     next(running.skill)
             except StopIteration as done:
                 running.result = running.result or done.value
@@ -305,8 +305,8 @@ class Simulation:
                 self._free(name)
                 raise
             other = self._running.get(running.partner)
-            result = outcome_of(running, other, self.time_s)
-            result = result or self._broken_off(running)
+            result = outcome_of(running, other, now_s)
+            result = result or self._broken_off(running, now_s)
             if result is not None:
                 ended.append(self._end(name, result))
         return tuple(ended)
@@ -321,15 +321,15 @@ class Simulation:
         result = with_losses(result, fell)
         return Ended(running.subtask, result, running.start_s)
 
-    def _broken_off(self, running: Running) -> SkillResult | None:
+    def _broken_off(self, running: Running, now_s: float) -> SkillResult | None:
         """Return how a sub-task ends that must not go on, None if it may."""
-        took_s, thrown = self.time_s - running.start_s, self.scene.coasting.thrown
+        took_s, thrown = now_s - running.start_s, self.scene.coasting.thrown
         if (fault := self.fault()) is not None:
             return SkillResult(Outcome.RULE, fault, took_s)
         if thrown:
             said = f"Moved on without a robot: {', '.join(thrown)}."
             return SkillResult(Outcome.THROWN, said, took_s)
-        if self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
+        if now_s >= running.until_s - 0.5 * TIME_STEP_S:
             said = f"The episode ended at {running.until_s:g} s."
             return SkillResult(Outcome.OUT_OF_TIME, said, took_s)
         return None

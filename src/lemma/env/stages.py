@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from itertools import product
 from typing import Any
 from weakref import proxy
 
@@ -176,6 +177,13 @@ class StageWatch:
         return () if found is None else found.subtasks
 
     @cached_property
+    def _too_heavy(self) -> frozenset[tuple[str, str]]:
+        """The robots and objects that are too heavy for them."""
+        spec = self._scene.spec
+        pairs = product(spec.robot_names, spec.object_names)
+        return frozenset(pair for pair in pairs if self._grounder.overload(*pair))
+
+    @cached_property
     def _events(self) -> StageEvents:
         return StageEvents(self._scene, self._goal, self.plan, self._first_seen)
 
@@ -318,7 +326,7 @@ class StageWatch:
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
         """Return True if a robot reaches pick and place, and carries the pick."""
         reaches = self._grounder.reaches
-        if step.primitive not in JOINT and self._grounder.overload(robot, step.pick):
+        if step.primitive not in JOINT and (robot, step.pick) in self._too_heavy:
             return False
         if not held and not reaches(robot, self._grip(step.pick, robot)):
             return False

@@ -90,6 +90,8 @@ class Scene:
         }
         self.object_names = spec.object_names
         """Names of the entities on the table."""
+        self.kinds = {placed.name: placed.entity.kind for placed in spec.objects}
+        """Kind of each entity on the table, by name."""
         self._rows = {name: self._view_row(name) for name in self.object_names}
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
