@@ -5,6 +5,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from physics_steps import each_step
 from recorded_episodes import first_instance, recorded
 from tiers import slow_but
 
@@ -147,10 +148,11 @@ def test_in_the_middle_of_a_skill_too(task: str, tick: int) -> None:
     def note() -> None:
         controls.append(scene.data.ctrl.copy())
 
-    for _ in range(60):
-        next(skill)
-        simulation.tick((first.robot,), note)
-        hashes.append(scene.state_hash())
+    with each_step(scene, note):
+        for _ in range(60):
+            next(skill)
+            simulation.tick((first.robot,))
+            hashes.append(scene.state_hash())
     scene.restore(kept)
     again = []
     for count, control in enumerate(controls, 1):

@@ -39,8 +39,8 @@ except (AttributeError, ImportError, OSError, RuntimeError):
 __all__ = ["Memory", "memory_of", "mj_step", "mujoco"]
 
 Memory = tuple[NDArray[np.int64], FloatArray, NDArray[np.int32], NDArray[np.int32]]
-"""What kernels need of a model and its data: the addresses of both, (2,), and arrays of
-MuJoCo's own memory: time, (1,) [s]; number of contacts, (1,); and both geoms of each
+"""A model and its data for kernels: the addresses of both, (2,), and arrays of MuJoCo's
+own memory: time, (1,) [s]; number of contacts, (1,); and both geoms of each
 contact, (capacity, 2)."""
 
 
@@ -70,7 +70,7 @@ def mj_step(addresses: NDArray[np.int64]) -> None:
 
 
 def memory_of(model: mujoco.MjModel, data: mujoco.MjData) -> Memory:
-    """Return what kernels need; it is valid as long as the model and the data exist."""
+    """Return a model and its data for kernels, valid as long as both exist."""
     timers, pairs = data.timer.duration, data.contact.geom
     # In MuJoCo's `mjData`, the number of contacts follows the timers, and the time
     # precedes the energy. The contacts are at the beginning of the arena.

@@ -7,7 +7,6 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -20,12 +19,14 @@ from lemma.env.snapshots import (
     RobotClock,
     Running,
     SimulationSnapshot,
+    Watch,
+    broken_off,
     outcome_of,
     with_losses,
 )
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.leaving import NOTHING_LEAVES
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.outcome import SkillResult
 from lemma.motion.reservations import Reservations
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
@@ -44,17 +45,6 @@ Pace = Callable[[str, float, float], float]
 usual, 0.5 half as fast, 0 at rest."""
 
 _SETTLE_TICKS = 30
-
-
-class Watch(Protocol):
-    """Follows a simulation, and looks at it less often than in every tick."""
-
-    @property
-    def due_ticks(self) -> int:
-        """Number of servo ticks until it looks next, at least 1."""
-
-    def look(self, ticks: int) -> None:
-        """Count servo ticks that have passed, and look if it is due."""
 
 
 class Simulation:
@@ -88,8 +78,7 @@ class Simulation:
         self._running: dict[str, Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
         self._commands = np.empty((STEPS_PER_TICK, self.scene.model.nu))
-        physics = self.scene.physics
-        self._follow = partial(follow, physics, self._commands)
+        self._follow = partial(follow, self.scene.physics, self._commands)
         for arm in self.arms.values():
             self.scene.set_joints(arm.robot, arm.park, FINGER_OPENING_M)
             arm.sync()
@@ -101,6 +90,7 @@ class Simulation:
         """Let the objects sink into their resting contact, then call that time zero."""
         for _ in range(_SETTLE_TICKS):
             mujoco.mj_step(self.scene.model, self.scene.data, STEPS_PER_TICK)
+        self.scene.check_memory()
         self.scene.data.time = 0.0
 
     @property
@@ -129,11 +119,11 @@ class Simulation:
             self.arms[name].lead(self._commands)
         self._pass(self._follow, 1)
 
-    def run(self, run: Callable[[int], None], ticks: int) -> None:
+    def run(self, work: Callable[[int], None], ticks: int) -> None:
         """Advance by servo ticks in which a controller commands the motors.
 
         Args:
-            run: Runs a number of servo ticks, with :func:`lemma.scene.coasting.step`
+            work: Runs a number of servo ticks, with :func:`lemma.scene.coasting.step`
                 and :func:`~lemma.scene.coasting.look`.
             ticks: Number of servo ticks.
 
@@ -144,14 +134,14 @@ class Simulation:
             count = 1 if self.observers else ticks
             if self.watch is not None:
                 count = min(count, self.watch.due_ticks)
-            self._pass(run, count)
+            self._pass(work, count)
             ticks -= count
 
-    def _pass(self, run: Callable[[int], None], ticks: int) -> None:
+    def _pass(self, work: Callable[[int], None], ticks: int) -> None:
         """Run servo ticks without observers in between."""
         data = self.scene.data
         start = data.time
-        run(ticks)
+        work(ticks)
         # MuJoCo resets a state that diverges, its time included.
         if not data.time > start + ticks * TICK_S - 0.5 * TIME_STEP_S:
             raise PhysicsError(
@@ -306,7 +296,8 @@ class Simulation:
                 raise
             other = self._running.get(running.partner)
             result = outcome_of(running, other, now_s)
-            result = result or self._broken_off(running, now_s)
+            thrown, fault = self.scene.coasting.thrown, self.fault()
+            result = result or broken_off(running, now_s, thrown, fault)
             if result is not None:
                 ended.append(self._end(name, result))
         return tuple(ended)
@@ -320,19 +311,6 @@ class Simulation:
         fell = [name for name in self.scene.fallen if name not in running.fallen]
         result = with_losses(result, fell)
         return Ended(running.subtask, result, running.start_s)
-
-    def _broken_off(self, running: Running, now_s: float) -> SkillResult | None:
-        """Return how a sub-task ends that must not go on, None if it may."""
-        took_s, thrown = now_s - running.start_s, self.scene.coasting.thrown
-        if (fault := self.fault()) is not None:
-            return SkillResult(Outcome.RULE, fault, took_s)
-        if thrown:
-            said = f"Moved on without a robot: {', '.join(thrown)}."
-            return SkillResult(Outcome.THROWN, said, took_s)
-        if now_s >= running.until_s - 0.5 * TIME_STEP_S:
-            said = f"The episode ended at {running.until_s:g} s."
-            return SkillResult(Outcome.OUT_OF_TIME, said, took_s)
-        return None
 
     def _free(self, robot: str) -> None:
         """End what a robot does, and its partner; count the time it took."""
@@ -349,23 +327,21 @@ class Simulation:
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""
-        for _ in range(max(0, int(np.ceil(seconds / TICK_S)))):
-            self.tick()
+        self._commands[:] = self._control
+        self.run(self._follow, math.ceil(seconds / TICK_S))
 
     def stand_still(self, seconds: float) -> None:
         """Let time pass while every arm brakes and then stays where it is."""
-        data, ticks = self.scene.data, math.ceil(seconds / TICK_S)
         if self.scene.actuation == "torque":
-            self.run(self._brake, ticks)
+            self.run(self._brake, math.ceil(seconds / TICK_S))
             return
         if self.scene.actuation == "velocity":
             for arm in self.arms.values():
-                data.ctrl[arm.robot.ctrl] = 0.0
-        for _ in range(ticks):
-            self.tick()
+                self._control[arm.robot.ctrl] = 0.0
+        self.rest(seconds)
 
     def _brake(self, ticks: int) -> None:
-        """Run servo ticks with torques against the joints' speeds; motors limit them."""
+        """Run servo ticks with torques against the joints' speeds; motors limit it."""
         data = self.scene.data
         for _ in range(ticks):
             for _ in range(STEPS_PER_TICK):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.engine import Memory, mj_step, mujoco
+from lemma.core.engine import mj_step, mujoco
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
 from lemma.scene.objects.contacts import note_bad
@@ -48,17 +48,27 @@ OBJECT = np.dtype(
 )
 """Record of an object; see the attributes of :class:`Coasting`."""
 
-Indices = NDArray[np.int64]
+_Indices = NDArray[np.int64]
 Physics = tuple[
-    # Plain arrays, because Numba accepts a tuple of them fast.
-    *Memory,
-    *(Indices, Indices, NDArray[np.void]),
-    *(Indices, NDArray[np.bool_], Indices),
-    *(FloatArray, FloatArray, FloatArray),
+    _Indices,
+    FloatArray,
+    NDArray[np.int32],
+    NDArray[np.int32],
+    _Indices,
+    _Indices,
+    NDArray[np.void],
+    _Indices,
+    NDArray[np.bool_],
+    _Indices,
+    FloatArray,
+    FloatArray,
+    FloatArray,
 ]
-"""All that kernels need to advance the physics of a scene: MuJoCo's memory; owners,
-flags and objects of :class:`Coasting`; what :class:`.ForbiddenContacts` has; and
-positions, velocities and motor commands."""
+"""All that kernels need to advance the physics of a scene: the four arrays of
+:data:`~lemma.core.engine.Memory`; ``owner``, ``flags`` and ``objects`` of
+:class:`Coasting`; ``who``, ``bad`` and ``first`` of :class:`.ForbiddenContacts`; and
+positions, velocities and motor commands. It is a plain tuple, because Numba takes
+those fastest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +277,7 @@ def step(physics: Physics) -> None:
     mj_step(addresses)
     contacts = geoms[: count[0]]
     if flags[0] > 0:
-        note_leads(contacts, owner, objects.held, objects.resting)
+        note_leads(contacts, owner, objects["held"], objects["resting"])
     note_bad(contacts, who, bad, first)
 
 
@@ -297,7 +307,7 @@ def look(physics: Physics) -> None:
         return
     flags[0] = awake - 1 if slow else _REST_TICKS
     if awake == 0:
-        note_leads(geoms[: count[0]], owner, objects.held, objects.resting)
+        note_leads(geoms[: count[0]], owner, objects["held"], objects["resting"])
     for k in range(len(objects)):
         if _is_thrown(objects[k], qpos, now):
             flags[1] = 1

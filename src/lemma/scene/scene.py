@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lemma.core.engine import memory_of, mujoco
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
@@ -109,6 +109,19 @@ class Scene:
         )
         """All that kernels need to advance the physics; valid while this scene
         exists."""
+
+    def check_memory(self) -> None:
+        """Check that kernels see time and contacts where MuJoCo has them.
+
+        Raises:
+            PhysicsError: This version of MuJoCo has them elsewhere.
+        """
+        _, time, count, *_ = self.physics
+        if (time[0], count[0]) != (self.data.time, self.data.ncon):
+            raise PhysicsError(
+                f"MuJoCo {mujoco.__version__} keeps its state in another way. Install "
+                "the version that this package requires."
+            )
 
     def _index_robot(self, name: str, placement: RobotPlacement) -> RobotIndex:
         model = self.model

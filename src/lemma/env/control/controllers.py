@@ -24,7 +24,7 @@ from lemma.env.control.motor_commands import (
     run_velocities,
     step_torques,
 )
-from lemma.env.control.safety_filter import SafetyFilter, find_obstacles
+from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
 from lemma.scene.build import STEPS_PER_TICK
 
@@ -155,9 +155,9 @@ class TorqueController(JointController):
 
     def run(self, ticks: int) -> None:
         """Run servo ticks with the torques that the joints' velocity limits allow."""
-        physics, guard, records, _, _, counts = self.team
+        physics, _, records, _, _, counts = self.team
         for _ in range(ticks):
-            find_obstacles(guard, records, self.scene.data.qpos)
+            self.guard.look()
             for _ in range(STEPS_PER_TICK):
                 self._update_dynamics()
                 self._run()

@@ -97,7 +97,9 @@ def run_poses(
                 arm, state = records[k], states[k]
                 before[:] = state[0]
                 workspace = workspaces[k : k + 1]
-                integrate(workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS)
+                integrate(
+                    workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS
+                )
                 for i in range(6):
                     rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
                 if keep_clear(arm, obstacles[k], objects[k], before, rates):

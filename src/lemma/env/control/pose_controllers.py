@@ -21,7 +21,7 @@ from lemma.env.control.rotations import (
     quaternion_from_rot6d,
 )
 from lemma.env.control.safety_filter import transform
-from lemma.motion.arm_motion import POSTURE_ALONE, ArmMotion, choose_posture
+from lemma.motion.arm_motion import ArmMotion, choose_posture
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
@@ -175,7 +175,6 @@ class WaypointController(PoseController):
         w, x, y, z = self._quaternion(row)
         turn = compose(quaternion_from_matrix(base[:3, :3]), (w, x, y, z))
         self._rows[k, 3:7] = turn
-
 
 
 class Rot6dWaypointController(WaypointController):

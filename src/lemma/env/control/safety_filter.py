@@ -60,6 +60,11 @@ class SafetyFilter:
         those in it. The arm's record has the counts."""
         self.guard: Guard = (owners, capsules, self.obstacles, self.objects)
         """Arguments of the kernels."""
+        self._qpos: FloatArray = scene.data.qpos
+
+    def look(self) -> None:
+        """Read the present poses of arms and objects, once in each servo tick."""
+        find_obstacles(self.guard, self.records, self._qpos)
 
 
 @kernel
@@ -120,7 +125,7 @@ def _shells(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 @kernel
 def find_obstacles(guard: Guard, records: np.ndarray, qpos: FloatArray) -> None:
-    """Read the present poses of arms and objects, once in each servo tick."""
+    """See :meth:`SafetyFilter.look`."""
     owners, capsules, obstacles, objects = guard
     owners, capsules, qpos = borrowed(owners), borrowed(capsules), borrowed(qpos)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
