@@ -21,6 +21,7 @@ from lemma.env.control.rotations import (
 from lemma.env.control_env import ControlEnv
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.scene import Scene
 
@@ -333,3 +334,17 @@ def test_control_rate_is_the_one_asked_for(hz: int) -> None:
         *_, info = env.step(resting(env))
     assert info["elapsed_s"] == pytest.approx(3.0 / hz)
     assert env.metadata["render_fps"] == hz
+
+
+def test_observers_see_every_tick_and_change_nothing() -> None:
+    quiet, watched = (control_env("ee_pose", "pass") for _ in range(2))
+    for env in (quiet, watched):
+        env.reset()
+    ticks: list[float] = []
+    simulation = watched.episode.simulation
+    simulation.observers.append(lambda: ticks.append(simulation.time_s))
+    for action in wild_actions(quiet, 3, 20):
+        one, other = (env.step(action)[4] for env in (quiet, watched))
+        assert (one["progress"], one["idle_s"]) == (other["progress"], other["idle_s"])
+    assert np.diff(ticks) == pytest.approx(np.full(99, TICK_S))
+    assert quiet.state_hash() == watched.state_hash()

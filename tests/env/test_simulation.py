@@ -14,12 +14,12 @@ from tiers import slow_but
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import STEPS_PER_TICK, Simulation
+from lemma.env.simulation import Simulation
 from lemma.env.snapshots import Ended
 from lemma.expert.expert import Expert, solve
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.build import TICK_S, TIME_STEP_S
+from lemma.scene.build import STEPS_PER_TICK, TICK_S, TIME_STEP_S
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import SUITE, load_instance

@@ -62,7 +62,7 @@ class Controller(ABC):
             arm.state = state
         self._busy_ticks = np.zeros(len(arms), np.int64)
         self.team: Team = (
-            *(self.scene.physics, self.guard.guard, self.guard.records),
+            *(self.scene.physics, self.guard.arrays, self.guard.records),
             *(self.states, self.openings, self._busy_ticks),
         )
         """First argument of each kernel in :mod:`lemma.env.control.motor_commands`:

@@ -58,13 +58,13 @@ class SafetyFilter:
         self.objects = np.zeros((count, 2, len(capsules), ROW))
         """For each arm, capsules of objects: first of those outside its hand, then of
         those in it. The arm's record has the counts."""
-        self.guard: Guard = (owners, capsules, self.obstacles, self.objects)
+        self.arrays: Guard = (owners, capsules, self.obstacles, self.objects)
         """Arguments of the kernels."""
         self._qpos: FloatArray = scene.data.qpos
 
     def look(self) -> None:
         """Read the present poses of arms and objects, once in each servo tick."""
-        find_obstacles(self.guard, self.records, self._qpos)
+        find_obstacles(self.arrays, self.records, self._qpos)
 
 
 @kernel
