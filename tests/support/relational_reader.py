@@ -8,8 +8,8 @@ description without a margin gets a wrong reading or several.
 import math
 import re
 from collections.abc import Iterator
-from functools import partial
 
+from lemma.core.poses import Pose2
 from lemma.scene.raster import RASTER
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.language.bank import robot_phrases
@@ -18,15 +18,19 @@ Pair = tuple[str, str]
 Reading = tuple[frozenset[Pair], tuple[str, ...]]
 """The pairs of a goal; its rule as plain data, or nothing."""
 
-_ORDINALS = {word: i for i, word in enumerate("second third fourth fifth sixth".split())}
+_ORDINALS = {
+    word: i for i, word in enumerate(["second", "third", "fourth", "fifth", "sixth"])
+}
 _HALF_WIDTH = 0.10 / RASTER.cell_m
 
 
 class Table:
-    """What is on a table: nouns, names and cells."""
+    """Robots and objects on a table: nouns, names and cells."""
 
     def __init__(self, scene: SceneSpec) -> None:
-        self.nouns, self.colors, self.names = {}, {}, {}
+        self.nouns: dict[str, str] = {}
+        self.colors: dict[str, str] = {}
+        self.names: dict[str, str] = {}
         self.cells: dict[str, tuple[int, int]] = {}
         robots = zip(scene.robots, scene.robot_names, strict=True)
         phrases = robot_phrases(scene.robots)
@@ -34,18 +38,17 @@ class Table:
             self._add(name, "robot", robot.color, f"the {phrase}", robot.base)
         for placed in scene.objects:
             noun = placed.entity.kind.nouns[0]
-            said = f"the {placed.color} {noun}" if placed.entity.color else f"the {noun}"
+            said = (
+                f"the {placed.color} {noun}" if placed.entity.color else f"the {noun}"
+            )
             self._add(placed.name, noun, placed.entity.color, said, placed.pose)
 
-    def _add(self, name, noun, color, said, pose) -> None:
+    def _add(self, name: str, noun: str, color: str, said: str, at: Pose2) -> None:
         self.nouns[name], self.colors[name], self.names[said] = noun, color, name
-        self.cells[name] = RASTER.pixel_from_world(pose.x, pose.y)
+        self.cells[name] = RASTER.pixel_from_world(at.x, at.y)
 
     def column(self, name: str) -> int:
         return self.cells[name][1]
-
-    def cells_between(self, one: str, two: str) -> float:
-        return math.dist(self.cells[one], self.cells[two])
 
     def of(self, noun: str, *but: str) -> list[str]:
         return [n for n, its in self.nouns.items() if its == noun and n not in but]
@@ -70,10 +73,18 @@ class Table:
             if found := re.match(rf"the (left|right)most {noun}\b", text):
                 yield from self._in_order(noun, found[1], 0, text[found.end() :])
             ordinals = "|".join(_ORDINALS)
-            if found := re.match(rf"the ({ordinals}) {noun} from the (left|right)\b", text):
+            if found := re.match(
+                rf"the ({ordinals}) {noun} from the (left|right)\b", text
+            ):
                 place = _ORDINALS[found[1]] + 1
                 yield from self._in_order(noun, found[2], place, text[found.end() :])
-            for words in ("nearest to", "farthest from", "left of", "right of", "between"):
+            for words in (
+                "nearest to",
+                "farthest from",
+                "left of",
+                "right of",
+                "between",
+            ):
                 start = f"the {noun} {words} "
                 if text.startswith(start):
                     yield from self._beside(noun, words, text[len(start) :])
@@ -94,15 +105,18 @@ class Table:
                         if self.is_between(name, anchor, other):
                             yield name, after
                 continue
-            near = partial(self.cells_between, anchor)
             others = self.of(noun, anchor)
-            fits = {
-                "nearest to": lambda n, a=near, o=others: a(n) == min(map(a, o)),
-                "farthest from": lambda n, a=near, o=others: a(n) == max(map(a, o)),
-                "left of": lambda n, x=self.column(anchor): self.column(n) < x,
-                "right of": lambda n, x=self.column(anchor): self.column(n) > x,
-            }[words]
-            yield from ((name, rest) for name in others if fits(name))
+            yield from (
+                (n, rest) for n in others if self._fits(n, words, anchor, others)
+            )
+
+    def _fits(self, name: str, words: str, anchor: str, others: list[str]) -> bool:
+        if words in ("left of", "right of"):
+            offset = self.column(name) - self.column(anchor)
+            return offset < 0 if words == "left of" else offset > 0
+        most = min if words == "nearest to" else max
+        away = {one: math.dist(self.cells[one], self.cells[anchor]) for one in others}
+        return away[name] == most(away.values())
 
 
 def readings(sentence: str, scene: SceneSpec) -> set[Reading]:
@@ -110,7 +124,9 @@ def readings(sentence: str, scene: SceneSpec) -> set[Reading]:
     table = Table(scene)
     body, _, rule = sentence.partition("; ")
     rules = set(_rules(table, rule))
-    if found := re.match(r"Put every (\w+) (except .*)?on the (\w+) of its color$", body):
+    if found := re.match(
+        r"Put every (\w+) (except .*)?on the (\w+) of its color$", body
+    ):
         goals = _by_color(table, found[1], found[3], found[2] or "")
         return {(goal, said) for goal in goals for said in rules}
     every: set[Reading] = set()
