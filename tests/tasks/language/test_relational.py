@@ -247,6 +247,15 @@ def test_long_goals_are_said_by_names() -> None:
     assert any(placed.entity.phrase in sentence for placed in instance.scene.objects)
 
 
+def test_a_plank_is_said_after_its_posts() -> None:
+    scene = load_instance("bridge", "test", 0).scene
+    goal = load_instance("bridge", "test", 0).goal
+    turned = Goal.from_pairs(goal.pairs[::-1])
+    sentence = say(scene, turned, stream("turned"))
+    assert sentence.endswith("and the plank on both cubes")
+    assert readings(sentence, scene) == {asked(goal)}
+
+
 def refused_goals() -> list[tuple[Goal, str]]:
     pairs = tuple((f"{c}_cube", f"{c}_pad") for c in BENCHMARK_COLORS[:4])
     late = After(*pairs[0], *pairs[1])

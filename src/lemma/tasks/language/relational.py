@@ -210,9 +210,9 @@ def say(scene: SceneSpec, goal: Goal, rng: np.random.Generator) -> str:
         at random, are said by their names instead.
 
     Raises:
-        InvalidConfigError: A hand is part of the goal, its rule is of a kind that these
-            sentences lack, or the sentence has too many characters even without
-            relations.
+        InvalidConfigError: A hand is part of the goal, its rule says *after* about
+            other pairs than those of the goal, or the sentence has too many characters
+            even without relations.
     """
     if any(HAND in pair for pair in goal.pairs):
         raise InvalidConfigError(
@@ -284,7 +284,7 @@ def _sentence(
     things: Mapping[str, Thing],
     words: Mapping[str, str],
 ) -> str:
-    rule, last = goal.rule, " and "
+    rule, link = goal.rule, " and "
     if kept is not None:
         top, bottom = (things[name].noun for name in goal.pairs[0])
         stay = " and ".join(f"the {words[name]}" for name in kept)
@@ -297,10 +297,10 @@ def _sentence(
                 f"{rule} is not about all of the goal, so no {RELATIONAL!r} "
                 "instruction says it. Choose another kind."
             )
-        parts, last = _parts((first, later), things, words), " and only after that "
+        parts, link = _parts((first, later), things, words), " and only after that "
     else:
         parts = _parts(goal.pairs, things, words)
-    text = last.join(filter(None, (", ".join(parts[:-1]), parts[-1])))
+    text = link.join(filter(None, (", ".join(parts[:-1]), parts[-1])))
     if isinstance(rule, Without):
         text += f"; the {words[rule.excluded]} must not touch anything"
     elif isinstance(rule, But):
@@ -314,14 +314,14 @@ def _parts(
     words: Mapping[str, str],
 ) -> list[str]:
     """Return the words of pairs; what lies on both tops of the others comes last."""
-    found, both = [], dict[str, list[str]]()
+    found, last, below = list[str](), list[str](), dict[str, list[str]]()
     for top, bottom in pairs:
-        both.setdefault(top, []).append(bottom)
-    for top, bottoms in both.items():
-        posts = [other for other in both if other != top]
+        below.setdefault(top, []).append(bottom)
+    for top, bottoms in below.items():
+        posts = [other for other in below if other != top]
         nouns = {things[name].noun for name in posts if name in things}
         if len(bottoms) == 2 and set(bottoms) == set(posts) and len(nouns) == 1:
-            found.append(f"the {words[top]} on both {nouns.pop()}s")
+            last.append(f"the {words[top]} on both {nouns.pop()}s")
         else:
             found += [f"the {words[top]} on the {words[on]}" for on in bottoms]
-    return found
+    return found + last
