@@ -37,6 +37,8 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 - **Other suites have a hash each**, of their tasks, lists and goals, under `suites` in
   results. `pass`, `stack`, `poke` and `hook` are of the protocol. The other tasks have
   no blind sentences and no times of the expert.
+- **[Relational sentences](language.md#relational-instructions)** are beside it: results
+  with them quote the protocol, and their lines hold the sentence.
 
 [](evaluation.md) explains the words. The SHA-256 of each list of instances stands in
 `protocol.json` alone; the rest of the file:
