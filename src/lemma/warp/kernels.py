@@ -25,7 +25,7 @@ def drive(
     rate: wp.array2d(dtype=float),  # type: ignore[valid-type]
     ctrl: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ) -> None:
-    """Advance the reference of each joint, as ``drive_positions`` on the CPU.
+    """Advance the reference of each joint, as ``run_positions`` on the CPU.
 
     There is no safety filter. ``numbers`` has speed, lag and range of each joint, and
     ``addresses`` its indices in ``qpos`` and ``ctrl``.
