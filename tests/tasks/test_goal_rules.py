@@ -8,7 +8,6 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal, On
@@ -16,6 +15,7 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, robot_phrases, rule_templates
 from lemma.tasks.language.template import KINDS, MAX_CHARACTERS
 from lemma.tasks.suite import load_instance
+from lemma.tasks.teams.dependencies import predecessors
 from lemma.tasks.teams.rule import RULES, After, But, Rule, Without, rule_from
 from lemma.tasks.teams.rule_watch import first_bad
 

@@ -14,11 +14,12 @@ from lemma.env.episode import Episode
 from lemma.env.team.orders import LOOK_S, Team
 from lemma.env.team.records import Done
 from lemma.expert.expert import ExpertStep
+from lemma.expert.timing import Aim
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 _MOST_PLANS = 4
 
@@ -102,6 +103,7 @@ class TeamWork:
         names = [name for name, subtask in running if subtask is not None]
         self._numbers = {name: number for number, name in enumerate(names)}
         self._done = set[int]()
+        self._aim = Aim(team, self._steps, self._needs)
 
     @property
     def todo(self) -> tuple[SubTask, ...]:
@@ -126,11 +128,15 @@ class TeamWork:
         have = self._done | {
             self._numbers[robot] for robot in settled if robot in self._numbers
         }
+        begun = {k: team.orders[robot].start_s for robot, k in self._numbers.items()}
+        now_s = episode.simulation.time_s
         for robot in () if self.failed or episode.is_over else team.grounder.robots:
             mine = [k for k in self._todo if self._steps[k].robot == robot]
             mine = [k for k in mine if may(self._steps[k])]
             k = next((k for k in mine if self._needs[k].keys() <= have), None)
             if team.works_on(robot) or k is None or self.failed:
+                continue
+            if not self._aim.is_due(k, now_s, begun, have):
                 continue
             expected = team.expected(now, settled)
             option = team.grounder.ground(self._steps[k], expected)

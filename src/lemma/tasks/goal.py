@@ -258,6 +258,11 @@ class Goal:
         """Names of the objects that grippers must hold."""
         return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
 
+    @property
+    def in_turns(self) -> bool:
+        """Whether robots that act in turns can reach it; see :attr:`.Rule.in_turns`."""
+        return self.rule is None or self.rule.in_turns
+
     def permits(self, subtask: SubTask, has: Has) -> bool:
         """Return whether the rule permits a sub-task; see :meth:`.Rule.permits`."""
         return self.rule is None or self.rule.permits(subtask, has)

@@ -24,11 +24,11 @@ from lemma.planning.grounding import (
     ground_or_refuse,
     is_as_predicted,
 )
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 LOOK_S = 0.05
 """Time between two checks for effects [s]."""

@@ -11,7 +11,6 @@ from lemma.env.team.valid_orders import valid_options
 from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GroundedOption, ground_or_refuse
 from lemma.planning.planner import candidates, find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Oracle
 from lemma.policies.oracle import refusal_words
@@ -22,6 +21,7 @@ from lemma.policies.together.interfaces import (
     TeamPolicy,
 )
 from lemma.tasks.subtask import STOP, SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 _STOP = Orders((Decision(STOP, None),))
 _MOST_PLANS = 4
