@@ -78,6 +78,8 @@ def demo(
             "take turns here."
         )
     instances = [select_instance(name, which) for name in names]
+    for instance in instances if acting == "turns" else ():
+        instance.goal.check_in_turns()
     if not no_video:
         out.mkdir(parents=True, exist_ok=True)
     console = messages() if as_json else output()

@@ -28,6 +28,8 @@ class Rule(ABC):
     """Forbids something on the way to a goal; plain data."""
 
     kind: ClassVar[str]
+    in_turns: ClassVar[bool] = True
+    """Whether robots that act one after another can keep it."""
 
     @property
     @abstractmethod
@@ -43,11 +45,6 @@ class Rule(ABC):
     def robot(self) -> str | None:
         """The robot that must not take part."""
         return None
-
-    @property
-    def in_turns(self) -> bool:
-        """Whether robots that act one after another can keep it."""
-        return True
 
     @abstractmethod
     def permits(self, subtask: SubTask, has: Has) -> bool:
@@ -184,6 +181,7 @@ class Together(Rule):
     """Two parts of the goal become true at the same time, to :data:`AT_ONCE_S`."""
 
     kind: ClassVar[str] = "together"
+    in_turns: ClassVar[bool] = False
     top: str
     bottom: str
     other_top: str
@@ -198,11 +196,6 @@ class Together(Rule):
     def pairs(self) -> tuple[Pair, ...]:
         """Both parts."""
         return (self.top, self.bottom), (self.other_top, self.other_bottom)
-
-    @property
-    def in_turns(self) -> bool:
-        """No: in turns, one has put its cube down before another one begins."""
-        return False
 
     def permits(self, subtask: SubTask, has: Has) -> bool:
         """Any sub-task may keep it; its time decides."""

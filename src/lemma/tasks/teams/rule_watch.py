@@ -110,8 +110,11 @@ class RuleWatch:
 
     def info(self) -> dict[str, object]:
         """Return the rule and how it was broken, ready for JSON."""
-        rule = [self.rule.kind, *self.rule.names]
-        found = {"rule": rule, "broken": self.broken, "has_been": self._has_been}
+        found: dict[str, object] = {
+            "rule": [self.rule.kind, *self.rule.names],
+            "broken": self.broken,
+            "has_been": self._has_been,
+        }
         if isinstance(self.rule, Together):
             found["laid_s"] = [self._laid_s.get(pair) for pair in self.rule.pairs]
         return found
