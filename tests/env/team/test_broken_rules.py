@@ -1,6 +1,9 @@
 """Attacks on rules: whatever happens, contacts and poses judge, at every level."""
 
+from itertools import product
+
 import pytest
+from tiers import slow_but
 
 import lemma
 from lemma.core.poses import Pose
@@ -174,8 +177,13 @@ def test_who_takes_every_cube_touches_that_one() -> None:
 # --- At the same time --------------------------------------------------------------
 
 
-@pytest.mark.parametrize("apart_s", [AT_ONCE_S - 0.1, AT_ONCE_S + 0.2])
-@pytest.mark.parametrize("first", [0, 1])
+EARLY_S, LATE_S = AT_ONCE_S - 0.1, AT_ONCE_S + 0.2
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "first"),
+    slow_but(product((EARLY_S, LATE_S), (0, 1)), (EARLY_S, 0), (LATE_S, 1)),
+)
 def test_who_lies_there_first_waits_for_two_seconds(apart_s: float, first: int) -> None:
     """Whichever of the two it is; the whole goal is no help afterwards."""
     episode = Episode(load_instance("unison", "val", 0))
@@ -191,6 +199,7 @@ def test_who_lies_there_first_waits_for_two_seconds(apart_s: float, first: int) 
     assert fails(episode) == (apart_s > AT_ONCE_S)
 
 
+@pytest.mark.slow
 def test_a_cube_in_a_hand_has_not_been_laid_down() -> None:
     """A cube that is pressed on its pad counts when the hand lets go of it."""
     episode = Episode(load_instance("unison", "val", 0))
@@ -210,6 +219,7 @@ def test_a_cube_in_a_hand_has_not_been_laid_down() -> None:
         assert 0.0 < time_s - opened_s[top] < 0.5
 
 
+@pytest.mark.slow
 def test_a_pair_once_together_may_be_moved() -> None:
     episode = Episode(load_instance("unison", "val", 0))
     one, other = episode.instance.goal.pairs
