@@ -185,7 +185,7 @@ class Schedule:
         """Return the sub-tasks on a critical path, first to last.
 
         Each one waits for the one before it, because of the same robot, a dependency,
-        or an exclusion.
+        an exclusion, or a common time of their effects.
         """
         if not self.jobs:
             return ()
@@ -210,17 +210,12 @@ class Schedule:
         follows = same and self.at(k, 3) == self.starts[m]
         stage = {"pick": 0, "place": 1}.get(job.needs.get(k, ""))
         needed = stage is not None and self.at(k, 2) == self.at(m, stage)
-        return (
-            follows
-            or needed
-            or (
-                not same
-                and any(
-                    came == left and are_near(line, other)
-                    for came, _, line in self.stays(m)
-                    for _, left, other in self.stays(k)
-                )
-            )
+        if follows or needed or job.meets == k:
+            return True
+        return not same and any(
+            came == left and are_near(line, other)
+            for came, _, line in self.stays(m)
+            for _, left, other in self.stays(k)
         )
 
     def stays(self, job: int) -> list[Stay]:
