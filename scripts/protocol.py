@@ -26,19 +26,19 @@ Everything that fixes a number, as one frozen file: `protocol.json` in
 | `{name}` | `{sha256}` |
 {suites}
 
-- **Results quote it.** It is computed from code, data and the version of MuJoCo when an
-  evaluation begins; `about.json` and every summary hold the hash.
-- **Protocols are not mixed.** `lemma evaluate` refuses a folder of another protocol;
-  `lemma report`, `lemma reproduce` and `lemma compare` refuse results of different
-  ones.
+- **Results quote it.** It is computed when an evaluation begins; `about.json` and every
+  summary hold the hash.
+- **Protocols are not mixed**, neither in a folder of `lemma evaluate` nor by
+  `lemma report`, `lemma reproduce` and `lemma compare`.
 - **Free choices** stand beside it in `about.json`: the policy with its weights, the
-  split, what is said (`--language`), and where objects begin (`--perturb-start`).
-- **Skills are held by their effect.** The expert's times on all instances of val and
-  test are part of the protocol: whoever changes skills, physics or the expert changes
-  it.
+  split, `--language` and `--perturb-start`.
+- **Skills are held by their effect**: the expert's times on all instances of val and
+  test are part of the protocol.
 - **Other suites have a hash each**, of their tasks, lists and goals, under `suites` in
-  results; so the protocol stays when they grow. `pass`, `stack`, `poke` and `hook` are
-  of the protocol. The other tasks have no blind sentences and no times of the expert.
+  results. `pass`, `stack`, `poke` and `hook` are of the protocol. The other tasks have
+  no blind sentences and no times of the expert.
+- **[Relational sentences](language.md#relational-instructions)** are beside it: results
+  with them quote the protocol, and their lines hold the sentence.
 
 [](evaluation.md) explains the words. The SHA-256 of each list of instances stands in
 `protocol.json` alone; the rest of the file:

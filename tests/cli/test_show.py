@@ -24,6 +24,7 @@ def test_show_writes_one_picture(
     text = capsys.readouterr().out
     assert str(path) in text
     assert "high_level" in text
+    assert "relational Put the" in text
     with Image.open(path) as picture:
         assert picture.format == "PNG"
         assert picture.size == (SHEET_WIDTH_PX, SHEET_HEIGHT_PX)

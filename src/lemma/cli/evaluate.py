@@ -48,8 +48,8 @@ class EvaluateOptions:
     """Options of the evaluation."""
 
     instructions: Listed = "high-level"
-    """Kinds of instructions: high-level, human, unseen, blind; or all, which means
-    every kind of the tasks."""
+    """Kinds of instructions: high-level, human, unseen, blind, relational; or all,
+    which means every kind of the protocol that the tasks have, so not relational."""
     pairs: Flag = False
     """Play pairs of one table and one sentence, of which one team can do it and another
     one cannot: the right answer is then to refuse. --episodes counts two for each."""

@@ -14,10 +14,12 @@ from lemma.expert.expert import Expert
 from lemma.scene.scene import Scene
 from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.bank import instruct, robot_phrases, sub_instruction
+from lemma.tasks.language.relational import check_relational, relational
+from lemma.tasks.language.template import RELATIONAL
 from lemma.tasks.suite import TASKS, default_split, load_instance
 
 _HEADER = ("instance", "instruction")
-Kind = Literal["training", "high_level", "human", "unseen", "sub"]
+Kind = Literal["training", "high_level", "human", "unseen", "relational", "sub"]
 
 
 def instructions(
@@ -38,6 +40,8 @@ def instructions(
         as_json: Print a JSON list instead of a table.
     """
     TASKS[task]
+    if kind == RELATIONAL:
+        check_relational(task)
     if n < 1 or seed < 0:
         raise InvalidConfigError(
             f"--n is at least 1 and --seed at least 0, not {n} and {seed}."
@@ -65,6 +69,8 @@ def _sentences(
     instance: Instance, kind: Kind, seed: int, epoch: int, draws: np.random.Generator
 ) -> list[str]:
     pairs = instance.goal.pairs
+    if kind == RELATIONAL:
+        return [relational(instance)]
     if kind == "sub":
         return _plan(instance)
     if kind == "training":

@@ -4,7 +4,11 @@ from pathlib import Path
 
 from lemma.cli.options import File, MaybeTask, messages, print_named
 from lemma.cli.selection import DEFAULT, SelectionOptions, select_instance
+from lemma.core.errors import InvalidConfigError
+from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import say_pair
+from lemma.tasks.language.relational import has_relational, relational
+from lemma.tasks.language.template import RELATIONAL
 from lemma.tasks.rules import problems
 from lemma.viz.sheets import check_picture_path, instance_sheet, save_picture
 
@@ -29,7 +33,8 @@ def show(
     with messages().status("Drawing ..."):
         picture = instance_sheet(instance)
     save_picture(picture, path)
-    print_named(*instance.instructions.items(), ("team", instance.team))
+    said = (*instance.instructions.items(), *_relational(instance))
+    print_named(*said, ("team", instance.team))
     print_named(*(("problem", each) for each in problems(instance)), style="yellow")
     goal = " and ".join(say_pair(top, bottom) for top, bottom in instance.goal.pairs)
     print_named(("goal", goal))
@@ -37,3 +42,12 @@ def show(
         print_named(("rule", " ".join((rule.kind, *rule.names))))
     print_named(("picture", path), style="bold")
     return 0
+
+
+def _relational(instance: Instance) -> list[tuple[str, str]]:
+    """Return the relational instruction with its kind, if there is one."""
+    try:
+        return [(RELATIONAL, relational(instance))] * has_relational(instance.task)
+    except InvalidConfigError:
+        # A table of the user's own may have a goal that these sentences cannot say.
+        return []

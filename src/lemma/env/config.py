@@ -21,8 +21,7 @@ from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.cameras import CLOSE_PX
 from lemma.scene.objects.entity import known_entities
 from lemma.tasks.instance import Instance, splits_of
-from lemma.tasks.language.blind import check_blind, instruction
-from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
+from lemma.tasks.language.blind import check_kind, instruction
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import (
     FREE_SPLIT,
@@ -95,8 +94,8 @@ class EnvConfig:
     Frozen instances match in either order; free ones use the given order, from left to
     right, and any registered arms."""
     instruction: str = "high_level"
-    """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"`` or, for
-    evaluation and not of split ``"train"``, ``"blind"``."""
+    """Which instruction is given: ``"high_level"``, ``"human"``, ``"unseen"``,
+    ``"relational"`` or, for evaluation and not of split ``"train"``, ``"blind"``."""
     reward: str = "sparse"
     """Reward function; a name in :data:`lemma.env.signals.rewards.REWARDS`."""
     reward_discount: float = 0.99
@@ -114,9 +113,7 @@ class EnvConfig:
         if isinstance(self.split, str) and not self.split:
             object.__setattr__(self, "split", default_split(self.task))
         check_split(self.task, self.split)
-        known("kind of instruction", self.instruction, EVALUATION_KINDS)
-        if self.instruction == BLIND:
-            check_blind(self.task, self.split)
+        check_kind(self.instruction, self.task, self.split)
         checked: dict[str, object] = {
             "render_width": whole("render_width", self.render_width, 1, 4096),
             "render_height": whole("render_height", self.render_height, 1, 4096),

@@ -101,7 +101,8 @@ def evaluate(  # noqa: PLR0913 - by name, most have a default
         tasks: Name of a task, or names.
         split: Frozen list of instances, ``"test"``; or ``"free"``, which samples them:
             the default with tasks of your own.
-        kinds: Instructions: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``.
+        kinds: Instructions: ``"high_level"``, ``"human"``, ``"unseen"``, ``"blind"``,
+            ``"relational"``.
         episodes: Only the first so many of every task; split ``"free"`` needs it.
         planning: ``"single-step"``: look before every sub-task; or ``"multi-step"``:
         plan once, from the first image.

@@ -25,7 +25,7 @@ from lemma.evaluation.line_parts import (
     Together,
 )
 from lemma.tasks.instance import OWN_SPLIT, SPLITS
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS
 from lemma.tasks.names import task_rank
 from lemma.tasks.suite import FREE_SPLIT
 from lemma.tasks.teams.pairs import PAIRS
@@ -262,7 +262,7 @@ def enough(left: int | None) -> float:
 def place_of(row: Row) -> tuple[Any, ...]:
     """Return the sort key of a line: kind, task, index."""
     kind, task, index = key_of(row)
-    return EVALUATION_KINDS.index(kind), task_rank(task), index
+    return ALL_KINDS.index(kind), task_rank(task), index
 
 
 def older_versions(
@@ -350,7 +350,7 @@ def check_line(row: object) -> None:
         ValueError: A field is missing or invalid, or fields contradict each other.
     """
     line = msgspec.convert(row, _Line)
-    if line.instruction_kind not in EVALUATION_KINDS:
+    if line.instruction_kind not in ALL_KINDS:
         raise ValueError(f"no kind of instruction: {line.instruction_kind!r}")
     if line.protocol != PROTOCOL_VERSION:
         raise ValueError(

@@ -5,12 +5,14 @@ from typing import Any
 
 import pytest
 
+from lemma.evaluation.run.rollout import BLIND
+from lemma.policies.interfaces import PolicyInput
 from lemma.policies.planners.answers import (
     AnswerFormat,
     InvalidAnswer,
     InvalidAnswerError,
 )
-from lemma.policies.planners.prompts import quoted
+from lemma.policies.planners.prompts import quoted, system_prompt
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 
 TEAM = ("robot_0", "robot_1")
@@ -147,3 +149,13 @@ def test_a_sentence_in_a_prompt_is_a_string_and_no_more(sentence: str) -> None:
     assert json.loads(told) == sentence
     assert told.isprintable()
     assert not set("<>[]`\n") & set(told)
+
+
+def test_a_prompt_tells_left_and_right_where_the_sentence_speaks_of_places() -> None:
+    plain, places = (
+        system_prompt(PolicyInput(said, ("red robot", "white robot"), BLIND), TABLE)
+        for said in ("Put the red cube on the blue pad", "Put the leftmost cube there")
+    )
+    (added,) = set(places.splitlines()) - set(plain.splitlines())
+    assert "Left is at smaller x and right at larger x" in added
+    assert places.replace(f"{added}\n", "") == plain

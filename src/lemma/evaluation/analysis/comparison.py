@@ -11,7 +11,7 @@ from lemma.evaluation.analysis.rates import wilson_interval
 from lemma.evaluation.lines import lines_at, read_lines
 from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import EpisodeKey, Row, key_of, read_about
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS
 from lemma.tasks.names import in_order
 
 _SAME = ("split", "lemma")
@@ -82,7 +82,7 @@ def compare(first: Path, second: Path) -> Comparisons:
             "with the --instructions, --tasks and --split of the other."
         )
     found: dict[str, dict[str, Comparison]] = {}
-    for kind in EVALUATION_KINDS:
+    for kind in ALL_KINDS:
         of_kind = {name: pair for name, pair in pairs.items() if name[0] == kind}
         if of_kind:
             groups = {"all": list(of_kind.values())}

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from lemma.evaluation.records import Row
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def pair_scores(rows: Iterable[Row]) -> tuple[PairScores, ...]:
     every = [row for row in rows if row.get("pair") is not None]
     by_kind = (
         (kind, [row for row in every if row["instruction_kind"] == kind])
-        for kind in EVALUATION_KINDS
+        for kind in ALL_KINDS
     )
     return tuple(_scores(kind, listed) for kind, listed in by_kind if listed)
 

@@ -35,7 +35,7 @@ from lemma.evaluation.records import (
     place_of,
     training_seed,
 )
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS
 from lemma.tasks.names import task_rank
 
 
@@ -184,7 +184,7 @@ def _check_counts(path: Path, result: Result) -> None:
         most = cell.lenient_successes
         most = cell.successes if most is None else most
         if not (
-            cell.kind in EVALUATION_KINDS
+            cell.kind in ALL_KINDS
             and 0 <= cell.successes <= most <= cell.episodes
             and 0 <= cell.progress <= cell.episodes >= 1
         ):
@@ -340,7 +340,7 @@ def _asked(rows: Iterable[Row]) -> Iterable[Asked]:
 
 def _order(name: Sequence[Any]) -> tuple[Any, ...]:
     kind, task, *rest = name
-    return EVALUATION_KINDS.index(kind), task_rank(task), *rest
+    return ALL_KINDS.index(kind), task_rank(task), *rest
 
 
 def _digest(rows: Iterable[Row]) -> str:

@@ -15,7 +15,8 @@ from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance, splits_of
 from lemma.tasks.language.blind import blind_templates, instruction
-from lemma.tasks.language.template import BLIND, GoalPairs
+from lemma.tasks.language.relational import say
+from lemma.tasks.language.template import BLIND, RELATIONAL, GoalPairs
 from lemma.tasks.suite import TASKS, load_instance
 
 LANGUAGES = {
@@ -61,6 +62,8 @@ def control_of(language: str, instance: Instance, kind: str) -> LanguageControl:
         other = load_instance(task, split, following % size)
         there = set(other.goal.entities) <= set(instance.scene.object_names)
         same = set(other.goal.pairs) == set(instance.goal.pairs)
+        # Relations of another table say nothing certain about this one.
+        there = there and kind != RELATIONAL
         asks = other.goal.pairs if there and not same else None
         return LanguageControl(instruction(other, kind), asks)
     if language == "swapped":
@@ -79,6 +82,8 @@ def _reworded(instance: Instance, kind: str, asks: GoalPairs) -> str:
             f"Instructions of {instance.task!r} contain a rule, and cannot be changed "
             "to another goal. Choose another language, or another task."
         )
+    if kind == RELATIONAL:
+        return say(instance.scene, Goal.from_pairs(asks), stream(instance.key, kind))
     bank = TASKS[instance.task].language
     blind = kind == BLIND
     for template in blind_templates(instance.task) if blind else bank.templates(kind):

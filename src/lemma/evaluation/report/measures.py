@@ -9,7 +9,7 @@ from lemma.core.tables import Table
 from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.experiments.catalog import ABLATIONS
 from lemma.evaluation.report.policy_results import NOTHING, PolicyResults
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS
 
 OfSeed = Callable[[Sequence[Coordination]], float | None]
 
@@ -105,7 +105,7 @@ def reached(entries: Iterable[PolicyResults]) -> Table:
     rows = []
     for entry in entries:
         every = [one for result in entry.results for one in result.reached]
-        for kind in EVALUATION_KINDS if entry.suite != ABLATIONS else ():
+        for kind in ALL_KINDS if entry.suite != ABLATIONS else ():
             found = [one for one in every if one.kind == kind]
             if found:
                 episodes = sum(one.episodes for one in found)

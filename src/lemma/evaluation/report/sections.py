@@ -25,7 +25,7 @@ from lemma.evaluation.report.policy_results import (
     tasks_of,
 )
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS, EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 REPORT = "results.md"
@@ -152,6 +152,7 @@ def _of_success(entries: Sequence[PolicyResults]) -> dict[str, Table]:
         },
         "Unseen templates": tables.by_task(entries, "unseen"),
         "Blind templates": tables.by_task(entries, "blind"),
+        "Relational instructions": tables.by_task(entries, "relational"),
     }
 
 
@@ -278,7 +279,7 @@ def _kind_words(results: Iterable[Result]) -> str:
     found = {cell.kind for result in results for cell in result.cells}
     kinds = [
         tables.words(kind, "-")
-        for kind in EVALUATION_KINDS
+        for kind in (ALL_KINDS if found else EVALUATION_KINDS)
         if kind in found or not found
     ]
     return " and ".join([", ".join(kinds[:-1]), kinds[-1]] if kinds[1:] else kinds)

@@ -39,7 +39,7 @@ from lemma.evaluation.report.policy_results import (
     starts_perturbed,
     tasks_of,
 )
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS, EVALUATION_KINDS
 from lemma.tasks.names import in_order
 from lemma.tasks.suite import SUITE
 
@@ -112,7 +112,7 @@ def _table(
 
 def _means(entries: Sequence[PolicyResults]) -> list[Column]:
     """Return a column for every evaluated kind of instructions."""
-    kinds = [kind for kind in EVALUATION_KINDS if any(e.has(kind) for e in entries)]
+    kinds = [kind for kind in ALL_KINDS if any(e.has(kind) for e in entries)]
     return [
         Column(words(kind, "-"), {"kind": kind}, shown_mean, sums_up=True)
         for kind in kinds or EVALUATION_KINDS
@@ -142,7 +142,7 @@ def rates(cells: Sequence[Cell]) -> Table:
 
     Success is strict, with Wilson intervals; the last row is the mean lenient success.
     """
-    every = {kind: [c for c in cells if c.kind == kind] for kind in EVALUATION_KINDS}
+    every = {kind: [c for c in cells if c.kind == kind] for kind in ALL_KINDS}
     columns = {kind: listed for kind, listed in every.items() if listed}
     by_name = [rates_by(column, "task") for column in columns.values()]
     tasks = in_order(cell.task for cell in cells)
@@ -279,7 +279,7 @@ def losses(entries: Iterable[PolicyResults]) -> Table:
     rows = (
         (entry.title, words(kind, "-"), *_lost(entry, kind))
         for entry in entries
-        for kind in EVALUATION_KINDS
+        for kind in ALL_KINDS
         if entry.has(kind)
     )
     return Table(("", "instructions", *_CAUSES_HEADER), tuple(rows), labels=2)
@@ -289,7 +289,7 @@ def losses_by_task(entry: PolicyResults) -> Table:
     """Return the causes of failure of one policy, by kind and task with failures."""
     rows = (
         (words(kind, "-"), task, *_lost(entry, kind, task))
-        for kind in EVALUATION_KINDS
+        for kind in ALL_KINDS
         for task in tasks_of([entry], kind)
         if entry.causes(kind, task)
     )
@@ -339,7 +339,7 @@ def language(entries: Iterable[PolicyResults]) -> Table:
     rows = []
     for family in _families(entries, lambda result: not starts_perturbed(result)):
         by_language = {name: _where(family, language=name) for name in LANGUAGES}
-        for kind in EVALUATION_KINDS:
+        for kind in ALL_KINDS:
             each = [shown_mean(by_language[name].select(kind)) for name in LANGUAGES]
             if any(cell != NOTHING for cell in each[1:]):
                 guesses = by_language["none"].select(kind)
@@ -362,7 +362,7 @@ def starts(entries: Iterable[PolicyResults]) -> Table:
     for family in _families(entries, lambda result: result.about["language"] == FULL):
         own = _where(family, perturb_start=False)
         moved = _where(family, perturb_start=True)
-        for kind in EVALUATION_KINDS:
+        for kind in ALL_KINDS:
             both = shown_mean(own.select(kind)), shown_mean(moved.select(kind))
             if both[1] != NOTHING:
                 rows.append((family.title, words(kind, "-"), *both))

@@ -27,8 +27,7 @@ from lemma.tasks.instance import (
     Instance,
     splits_of,
 )
-from lemma.tasks.language.blind import check_blind
-from lemma.tasks.language.template import BLIND, EVALUATION_KINDS
+from lemma.tasks.language.blind import check_kind, instruction
 from lemma.tasks.names import SUITES
 from lemma.tasks.suite import FREE_SPLIT, SUITE, TASKS, check_split
 from lemma.tasks.teams.pairs import PAIRS, TEST_PAIRS
@@ -98,8 +97,7 @@ class EvaluationConfig:
             check_split(task, self.split)
             self._check_pairs()
             for kind in self.kinds:
-                if known("kind of instruction", kind, EVALUATION_KINDS) == BLIND:
-                    check_blind(task, self.split)
+                check_kind(kind, task, self.split)
         known("control of language", self.language, LANGUAGES)
         known("protocol", self.verdicts, VERDICTS)
         self._check_disturbance()
@@ -151,7 +149,7 @@ class EvaluationConfig:
                 "number of episodes, perturbation and shuffling."
             )
         for kind in self.kinds:
-            known("kind of instruction", kind, instance.instructions)
+            instruction(instance, kind)
 
     def count(self, task: str) -> int:
         """Return the number of episodes of a task per kind of instruction."""

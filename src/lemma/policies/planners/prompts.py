@@ -13,6 +13,7 @@ from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.planners.answers import NONE, WAIT, AnswerFormat
 from lemma.policies.planners.perception import ObjectText, SceneText
 from lemma.scene.objects.entity import SHARED
+from lemma.tasks.language.relational import speaks_of_places
 from lemma.tasks.subtask import Primitive
 
 PROMPTS = 2
@@ -45,6 +46,12 @@ it to "{shared}" first for another. "prehook" lays the stick (pick) behind a cub
 cube, "poke" then pushes the cube away from the robot, to another. hook needs prehook \
 right before, poke needs prepoke.
 """
+_PLACES = """\
+- The sentence names things by their places at the beginning, before anything was \
+moved. Left is at smaller x and right at larger x, as on a map; near and far are \
+distances along the table, for robots from where they stand. A thing is between two \
+others if it is within 0.1 m of the line between them.
+"""
 _ANSWER = """\
 
 Answer with one JSON object and nothing else:
@@ -69,6 +76,7 @@ def system_prompt(policy_input: PolicyInput, answers: AnswerFormat) -> str:
         field: " or ".join(json.dumps(name) for name in valid)
         for field, valid in answers.names.items()
     }
+    text += _PLACES if speaks_of_places(policy_input.instruction) else ""
     text = text.format(shared=SHARED)
     text += _ANSWER.format(
         message=', "message": to the other robots' if answers.talks else "",

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -49,14 +49,17 @@ class Data:
     """Recovery states of the training instances."""
 
 
-def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
-    """Return version and digest of rendered keyframes.
+def check_data(
+    folder: Path, splits: Collection[str], *, recovery: bool = False
+) -> dict[str, Any]:
+    """Return version and digests of rendered keyframes; see :func:`digests_of`.
 
     The digest covers everything that determines their bits: the episodes of the recipe,
     the form, the software and the renderer.
 
     Args:
         folder: Folder of the keyframes.
+        splits: The splits that are read.
         recovery: Whether to expect recovery states instead of demonstrations.
 
     Raises:
@@ -95,24 +98,31 @@ def check_data(folder: Path, *, recovery: bool = False) -> dict[str, Any]:
         for name, entry in files.items()
     }
     renderer = about.get("renderer", "")
-    digests = digests_of({**about, "versions": decisive}, content)
+    digests = digests_of({**about, "versions": decisive}, content, splits)
     return {"benchmark": BENCHMARK_VERSION, **digests, "renderer": renderer}
 
 
-def digests_of(about: dict[str, Any], content: dict[str, str]) -> dict[str, str]:
-    """Return the digest of rendered keyframes, and one that any renderer gives.
+def digests_of(
+    about: dict[str, Any], content: dict[str, str], splits: Collection[str]
+) -> dict[str, str]:
+    """Return the digest of rendered keyframes, and one by which seeds are compared.
+
+    The second one leaves out the renderer, and the files of splits that are not read.
 
     Args:
         about: Form, versions and renderer.
-        content: For each file, the digest of its episodes.
+        content: For each file, ``maps/train/pass-000.arrow``, the digest of its
+            episodes.
+        splits: The splits that are read.
     """
 
-    def digest(settings: dict[str, Any]) -> str:
-        hashed = {"about": settings, "content": content}
+    def digest(settings: dict[str, Any], files: dict[str, str]) -> str:
+        hashed = {"about": settings, "content": files}
         return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 
     rest = {name: value for name, value in about.items() if name != "renderer"}
-    return {"digest": digest(about), "of_any_renderer": digest(rest)}
+    read = {name: content[name] for name in content if Path(name).parts[1] in splits}
+    return {"digest": digest(about, content), "of_any_renderer": digest(rest, read)}
 
 
 def read_frames(
@@ -134,11 +144,13 @@ def read_frames(
         DatasetError: Files are missing, damaged or of another version.
         UnknownNameError: There is no such split or task.
     """
-    about = check_data(config.data)
+    splits = {config.train_split, config.val_split}
+    about = check_data(config.data, splits)
     tasks = config.tasks
     sources = [(config.data, config.train_split), (config.data, config.val_split)]
     if config.recovery is not None:
-        about["recovery"] = check_data(config.recovery, recovery=True)["digest"]
+        found = check_data(config.recovery, splits, recovery=True)
+        about["recovery"] = found["digest"]
         sources.append((config.recovery, config.train_split))
     size = sum(
         sum(shard.header.keyframes)

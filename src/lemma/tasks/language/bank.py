@@ -48,7 +48,8 @@ _PAPER_LINES = (
 )
 _BESIDE_M = 0.1
 """Smallest distance along x between robots that are counted from the left."""
-_ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
+ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
+"""Words for places in a row."""
 
 
 _added: dict[str, LanguageBank] = {}
@@ -206,7 +207,7 @@ def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
 def _position_words(bases: Sequence[Pose2], color: str) -> dict[int, str]:
     """Return the words that distinguish robots of one color, by index."""
     order = sorted(range(len(bases)), key=lambda i: bases[i].x)
-    words: Sequence[str] = _ORDINALS
+    words: Sequence[str] = ORDINALS
     if len(bases) == 2:
         first, second = (bases[i] for i in order)
         words = ("left", "right")
@@ -214,10 +215,10 @@ def _position_words(bases: Sequence[Pose2], color: str) -> dict[int, str]:
             order.sort(key=lambda i: bases[i].y)
             words = ("lower", "upper")
     steps = [bases[b].x - bases[a].x for a, b in pairwise(order)]
-    if len(bases) > len(_ORDINALS) or (len(bases) > 2 and min(steps) < _BESIDE_M):
+    if len(bases) > len(ORDINALS) or (len(bases) > 2 and min(steps) < _BESIDE_M):
         raise InvalidConfigError(
             f"{len(bases)} robots are {color}, and no words tell them apart: up to "
-            f"{len(_ORDINALS)} are counted from the left, if each stands at least "
+            f"{len(ORDINALS)} are counted from the left, if each stands at least "
             f"{_BESIDE_M:g} m further right than the last. Use more colors."
         )
     return dict(zip(order, words, strict=False))
@@ -279,7 +280,7 @@ def vocabulary() -> tuple[str, ...]:
     """
     said = (_sub_instructions()[name] for name in _PAPER_LINES)
     lines = [*said, *map(phrase, ENTITIES), phrase(SHARED)]
-    lines += [*_ORDINALS, "left right robot"]
+    lines += [*ORDINALS, "left right robot"]
     banks = _banks(_FAMILIES)
     for bank in (banks[name] for name in banks):
         lines += [t.text for t in (*bank.high_level, *bank.human)]

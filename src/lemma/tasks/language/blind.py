@@ -14,13 +14,21 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, shown
 from lemma.core.seeding import stream
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.language.relational import (
+    check_relational,
+    has_relational,
+    relational,
+)
 from lemma.tasks.language.template import (
+    ALL_KINDS,
     BLIND,
     EVALUATION_KINDS,
     KINDS,
+    RELATIONAL,
     GoalPairs,
     Template,
 )
@@ -56,8 +64,22 @@ def check_blind(task: str, split: str) -> None:
         )
 
 
+def check_kind(kind: str, task: str, split: str) -> None:
+    """Check that instances of a task and split have instructions of a kind.
+
+    Raises:
+        UnknownNameError: No such kind.
+        InvalidConfigError: They have none of this kind.
+    """
+    known("kind of instruction", kind, ALL_KINDS)
+    if kind == BLIND:
+        check_blind(task, split)
+    elif kind == RELATIONAL:
+        check_relational(task)
+
+
 def kinds_of(tasks: Iterable[str], split: str) -> tuple[str, ...]:
-    """Return the kinds of instructions that all given tasks have in a split.
+    """Return the protocol's kinds of instructions that all tasks have in a split.
 
     Args:
         tasks: Names of tasks.
@@ -79,12 +101,12 @@ def blind_templates(task: str) -> tuple[Template, ...]:
 def instruction(instance: Instance, kind: str) -> str:
     """Return the instruction of one kind of an instance.
 
-    A blind instruction is drawn on demand from its own random stream. It is not part of
-    the instance's data, so that its templates do not affect any digest.
+    A blind or relational instruction is drawn on demand from its own random stream. It
+    is not part of the instance's data, so that it does not affect any digest.
 
     Args:
         instance: The problem.
-        kind: One of :data:`lemma.tasks.language.template.EVALUATION_KINDS`.
+        kind: One of :data:`lemma.tasks.language.template.ALL_KINDS`.
 
     Raises:
         InvalidConfigError: The instance has none of this kind.
@@ -95,6 +117,8 @@ def instruction(instance: Instance, kind: str) -> str:
     if kind == BLIND and has_blind(instance.task, instance.split):
         key = (BENCHMARK_VERSION, instance.task, instance.split, instance.index)
         return _drawn(key, instance.goal.pairs)
+    if kind == RELATIONAL and has_relational(instance.task):
+        return relational(instance)
     raise InvalidConfigError(
         f"Instance {instance.key} has no instruction of the kind {shown(kind)}, "
         f"only {', '.join(instance.instructions) or 'none at all'}."

@@ -41,7 +41,14 @@ BLIND = "blind"
 """The kind for evaluation alone, see :mod:`lemma.tasks.language.blind`."""
 
 EVALUATION_KINDS = (*KINDS, BLIND)
-"""Kinds of instructions for evaluation."""
+"""Kinds of instructions for evaluation, as in the protocol and published tables."""
+
+RELATIONAL = "relational"
+"""The kind that names things by their places, :mod:`lemma.tasks.language.relational`.
+It is in no table of the protocol."""
+
+ALL_KINDS = (*EVALUATION_KINDS, RELATIONAL)
+"""All kinds of instructions that environments and evaluations can give."""
 
 MAX_CHARACTERS = 200
 """Largest length of a rendered sentence."""

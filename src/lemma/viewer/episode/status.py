@@ -10,7 +10,7 @@ from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.spec import ORACLE
 from lemma.tasks.instance import SPLITS, Instance
 from lemma.tasks.language.bank import say_pair
-from lemma.tasks.language.template import KINDS, GoalPairs
+from lemma.tasks.language.template import KINDS, RELATIONAL, GoalPairs
 from lemma.tasks.subtask import SubTask
 from lemma.tasks.suite import FREE_SPLIT, SUITE, load_instance
 from lemma.viz.recording import Line
@@ -20,7 +20,7 @@ TOGETHER = "oracle together"
 KNOWING = ORACLE, TOGETHER
 """Policies that have the goal and understand only sentences of the benchmark."""
 OWN_WORDS = "your own words"
-SAYINGS = (*KINDS, OWN_WORDS)
+SAYINGS = (*KINDS, RELATIONAL, OWN_WORDS)
 """Kinds of sentences: those of the instance, or a visitor's own."""
 LONGEST = 300
 """Largest number of characters of a sentence."""

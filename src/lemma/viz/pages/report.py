@@ -33,7 +33,7 @@ from lemma.evaluation.report.sections import (
 from lemma.evaluation.report.tables import at_a_glance, words
 from lemma.policies.spec import PLANNINGS
 from lemma.serve.websocket import is_address
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS, EVALUATION_KINDS
 from lemma.viz.pages.report_figures import figures_of
 from lemma.viz.pages.report_pictures import Pictures
 from lemma.viz.pages.templates import data_uri, fill, inline
@@ -121,7 +121,7 @@ def failures_data(found: Findings) -> dict[str, Any]:
     return {
         "policies": policies,
         "causes": {str(cause): words(cause) for cause in Cause},
-        "kinds": {kind: words(kind, "-") for kind in EVALUATION_KINDS},
+        "kinds": {kind: words(kind, "-") for kind in ALL_KINDS},
         "cases": [
             _case_data(case, policies.index(case.policy), found.pictures.get(i))
             | {"replay": found.replays.get(i, ""), "beside": found.beside.get(i, ())}

@@ -12,7 +12,7 @@ from lemma.evaluation.analysis.rates import Cell, mean_over_tasks, rate_of
 from lemma.evaluation.experiments.catalog import ABLATIONS, CONTROL_LEVEL, Measured
 from lemma.evaluation.report.policy_results import PolicyResults, tasks_of
 from lemma.evaluation.report.tables import values_of, words
-from lemma.tasks.language.template import EVALUATION_KINDS
+from lemma.tasks.language.template import ALL_KINDS, EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 from lemma.viz.plots import Bar, Figure, Mark, Series, dots, lines, stacks, standalone
 
@@ -46,7 +46,7 @@ def figures_of(entries: Sequence[PolicyResults]) -> list[Figure]:
         shown = shown or [
             entry for entry in entries if entry.results and entry.suite not in left_out
         ]
-    return [figure for kind in EVALUATION_KINDS for figure in _of_kind(shown, kind)]
+    return [figure for kind in ALL_KINDS for figure in _of_kind(shown, kind)]
 
 
 def headline_figure(entries: Sequence[PolicyResults]) -> Figure:
