@@ -13,6 +13,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import Any
 
+import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import torch
@@ -45,10 +46,9 @@ class Played:
     )
     """Every :data:`EVERY` steps: positions, velocities, potential, goal state."""
 
-    def note(self) -> None:
-        """Record one physics step."""
+    def look(self) -> None:
+        """Record the state after a servo tick, if it is time."""
         data = self.episode.simulation.scene.data
-        self.commands.append(data.ctrl.copy())
         if len(self.commands) % EVERY == 0:
             robots = self.episode.instance.scene.robot_names
             goal = goal_potential(self.episode), goal_state(self.episode, robots)
@@ -60,15 +60,12 @@ def play(instance: Any) -> Played:
     episode = Episode(instance)
     scene = episode.simulation.scene
     played = Played(episode, scene.data.qpos.copy())
-    simulation = episode.simulation
-    noted = simulation.note
-
-    def note() -> None:
-        played.note()
-        noted()
-
-    simulation.note = note
-    list(lemma.solve(episode, lemma.Expert(scene, episode.instance.goal)))
+    episode.simulation.observers.append(played.look)
+    mujoco.set_mjcb_control(lambda _, data: played.commands.append(data.ctrl.copy()))
+    try:
+        list(lemma.solve(episode, lemma.Expert(scene, episode.instance.goal)))
+    finally:
+        mujoco.set_mjcb_control(None)
     return played
 
 

@@ -58,7 +58,7 @@ def test_succeeds_where_one_robot_can_and_is_replayed(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name in THROWS:
-        monkeypatch.setattr(Coasting, "look", lambda self: None)
+        monkeypatch.setattr(Coasting, "is_thrown", False)
     soft = soft_table(name)
     found = played(name, soft)
     assert (found.succeeded, found.progress, found.robot) == (True, 1.0, "robot_0")
@@ -80,7 +80,7 @@ def test_a_search_throws_where_that_is_allowed(
     thrown: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if thrown:
-        monkeypatch.setattr(Coasting, "look", lambda self: None)
+        monkeypatch.setattr(Coasting, "is_thrown", False)
     assert played("search", pad_out_of_reach(0.22)).succeeded == thrown
 
 

@@ -1,10 +1,13 @@
 """Control modes: they do what they are told, and never more than a robot can."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
+from physics_steps import each_step
 from tiers import MODES, slow_but
 
 import lemma
@@ -18,6 +21,7 @@ from lemma.env.control.rotations import (
 from lemma.env.control_env import ControlEnv
 from lemma.robots.reach import reach_of
 from lemma.robots.ur.kinematics import top_down
+from lemma.scene.build import TICK_S
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.scene import Scene
 
@@ -70,19 +74,19 @@ def pose_row(matrix: FloatArray) -> list[float]:
     return [*pose.position, *pose.quaternion]
 
 
-def watch(env: ControlEnv) -> list[FloatArray]:
-    """Record, before every physics step, speeds and efforts over their limits."""
-    scene, drive, records = scene_of(env), env.controller.drive, []
+@contextmanager
+def watching(env: ControlEnv) -> Iterator[list[FloatArray]]:
+    """Record, in every physics step, speeds and efforts over their limits."""
+    scene, records = scene_of(env), []
 
     def look() -> None:
-        drive()
         for robot in scene.robots:
             speeds = np.abs(scene.data.qvel[robot.dof]) / robot.arm.velocity_limits
             efforts = scene.data.actuator_force[robot.ctrl] / robot.arm.effort_limits
             records.append(np.array([speeds.max(), np.abs(efforts).max()]))
 
-    env.controller.drive = look  # type: ignore[method-assign]
-    return records
+    with each_step(scene, look):
+        yield records
 
 
 def wild_actions(env: ControlEnv, seed: int, steps: int) -> list[FloatArray]:
@@ -108,13 +112,14 @@ def test_no_command_exceeds_what_the_robots_can_or_rams_the_table(
 ) -> None:
     env = control_env(control, "hook_stack", index=index)
     env.reset()
-    scene, records, deepest = scene_of(env), watch(env), 0.0
-    for action in wild_actions(env, index, 120):
-        env.step(action)
-        for contact in scene.data.contact[: scene.data.ncon]:
-            names = [scene.model.geom(geom).name for geom in contact.geom]
-            if "table" in names and any("robot" in name for name in names):
-                deepest = min(deepest, float(contact.dist))
+    scene, deepest = scene_of(env), 0.0
+    with watching(env) as records:
+        for action in wild_actions(env, index, 120):
+            env.step(action)
+            for contact in scene.data.contact[: scene.data.ncon]:
+                names = [scene.model.geom(geom).name for geom in contact.geom]
+                if "table" in names and any("robot" in name for name in names):
+                    deepest = min(deepest, float(contact.dist))
     assert deepest > -0.002
     speed, effort = np.max(records, axis=0)
     assert speed <= 1.0
@@ -329,3 +334,17 @@ def test_control_rate_is_the_one_asked_for(hz: int) -> None:
         *_, info = env.step(resting(env))
     assert info["elapsed_s"] == pytest.approx(3.0 / hz)
     assert env.metadata["render_fps"] == hz
+
+
+def test_observers_see_every_tick_and_change_nothing() -> None:
+    quiet, watched = (control_env("ee_pose", "pass") for _ in range(2))
+    for env in (quiet, watched):
+        env.reset()
+    ticks: list[float] = []
+    simulation = watched.episode.simulation
+    simulation.observers.append(lambda: ticks.append(simulation.time_s))
+    for action in wild_actions(quiet, 3, 20):
+        one, other = (env.step(action)[4] for env in (quiet, watched))
+        assert (one["progress"], one["idle_s"]) == (other["progress"], other["idle_s"])
+    assert np.diff(ticks) == pytest.approx(np.full(99, TICK_S))
+    assert quiet.state_hash() == watched.state_hash()

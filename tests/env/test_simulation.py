@@ -6,6 +6,7 @@ import weakref
 
 import numpy as np
 import pytest
+from physics_steps import each_step
 from recorded_episodes import first_instance, recorded, run_expert
 from small_tables import cube, facing, pad, stick
 from tiers import slow_but
@@ -13,12 +14,12 @@ from tiers import slow_but
 from lemma.core.errors import InvalidActionError
 from lemma.core.poses import Pose, Pose2
 from lemma.env.episode import Episode
-from lemma.env.simulation import STEPS_PER_TICK, Simulation
+from lemma.env.simulation import Simulation
 from lemma.env.snapshots import Ended
 from lemma.expert.expert import Expert, solve
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.build import TICK_S, TIME_STEP_S
+from lemma.scene.build import STEPS_PER_TICK, TICK_S, TIME_STEP_S
 from lemma.tasks.instance import SPLITS
 from lemma.tasks.subtask import GroundedSubTask, Primitive
 from lemma.tasks.suite import SUITE, load_instance
@@ -62,13 +63,14 @@ def test_no_frozen_instance_begins_in_its_goal(task: str) -> None:
 
 def test_a_tick_is_two_physics_steps(simulation: Simulation) -> None:
     ticks: list[float] = []
-    driven: list[float] = []
+    steps: list[float] = []
     simulation.observers.append(lambda: ticks.append(simulation.time_s))
-    for _ in range(3):
-        simulation.tick(drive=lambda: driven.append(simulation.time_s))
+    with each_step(simulation.scene, lambda: steps.append(simulation.time_s)):
+        for _ in range(3):
+            simulation.tick()
     assert STEPS_PER_TICK * TIME_STEP_S == TICK_S
     assert ticks == pytest.approx([0.01, 0.02, 0.03])
-    assert driven == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02, 0.025])
+    assert steps == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02, 0.025])
 
 
 @pytest.mark.parametrize(

@@ -194,7 +194,7 @@ def test_nothing_that_matters_is_left_out(team: str) -> None:
         for name in scene.movable_names:
             x, y, z = rng.uniform((-0.5, -0.4, 0.0), (0.5, 0.6, 0.4))
             scene.set_pose(name, Pose((x, y, z)))
-        controller.look()
+        controller.guard.look()
         for number, record in enumerate(controller.guard.records):
             q = scene.data.qpos[scene.robots[number].qpos].copy()
             speed = rng.choice([0.1, 0.5, 1.0]) * record["speeds"]
@@ -214,14 +214,14 @@ def test_nothing_that_matters_is_left_out(team: str) -> None:
 
 def test_there_is_room_for_all_constraints_of_three_robots() -> None:
     controller = controller_of(simulation_of("three"), "joint_position")
-    controller.look()
+    controller.guard.look()
     rows = most_rows(controller.guard.obstacles.shape[1], 5)
     assert rows == 12 + CORNERS + 42 + 9 * 20 + (CORNERS + 5) * 5 > 256
 
 
 def test_more_constraints_than_there_is_room_for_are_an_error() -> None:
     controller = controller_of(simulation_of("two"), "joint_position")
-    controller.look()
+    controller.guard.look()
     found, rows = (0.1, (0.0, 0.0, 0.1), (0.0, 0.0, -0.9)), np.zeros((1, 7))
     record = controller.guard.records[0]
     assert _add_row(record, (0, 9), found, 0.0, 1e6, rows, 0) == 1
@@ -242,8 +242,7 @@ def test_three_wild_robots_keep_their_limits(control: str) -> None:
     for _ in range(60):
         controller.command(rng.uniform(layout.low, layout.high, layout.shape))
         for _ in range(5):
-            controller.look()
-            simulation.tick(drive=controller.drive)
+            simulation.run(controller.run, 1)
             for robot in scene.robots:
                 speeds = np.abs(scene.data.qvel[robot.dof]) / robot.arm.velocity_limits
                 worst = max(worst, float(speeds.max()))

@@ -76,6 +76,23 @@ def test_states_that_are_no_numbers_are_reset_and_counted(env: GpuVecEnv) -> Non
     assert bool(reward.isfinite().all())
 
 
+def test_objects_that_an_instance_does_not_have_are_not_thrown() -> None:
+    """They float high above the table, where nothing carries them."""
+    env = GpuVecEnv("stack", 4, pool=4, horizon_s=10.0, device="cpu", seed=5)
+    env.reset(seed=0)
+    scene = env.pool.scene
+    movable = [scene.object_names.index(name) for name in scene.movable_names]
+    parked = env.pool.rows["present"][env.instance.tolist()][:, movable] == 0
+    assert parked.any()
+    dof = int(scene.model.joint(scene.movable_names[0]).dofadr[0])
+    for _ in range(4):
+        # Throws are looked for only while something moves.
+        env.qvel[:, dof] = 0.05
+        _, _, terminated, _, info = env.step(torch.zeros(4, 10))
+        assert not terminated.any()
+        assert not info["thrown"].any()
+
+
 @pytest.mark.parametrize("name", ["ur5", "ur10"])
 def test_hands_are_where_they_are_sent(name: str) -> None:
     from lemma.robots.ur.kinematics import forward  # noqa: PLC0415

@@ -5,17 +5,19 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from physics_steps import each_step
 from recorded_episodes import first_instance, recorded
 from tiers import slow_but
 
-from lemma.core.errors import UnknownNameError
+from lemma.core.errors import PhysicsError, UnknownNameError
 from lemma.core.poses import Pose
 from lemma.env.simulation import Simulation
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
+from lemma.scene.coasting import step
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
-from lemma.tasks.suite import SUITE
+from lemma.tasks.suite import SUITE, load_instance
 
 
 @pytest.fixture
@@ -147,10 +149,11 @@ def test_in_the_middle_of_a_skill_too(task: str, tick: int) -> None:
     def note() -> None:
         controls.append(scene.data.ctrl.copy())
 
-    for _ in range(60):
-        next(skill)
-        simulation.tick((first.robot,), note)
-        hashes.append(scene.state_hash())
+    with each_step(scene, note):
+        for _ in range(60):
+            next(skill)
+            simulation.tick((first.robot,))
+            hashes.append(scene.state_hash())
     scene.restore(kept)
     again = []
     for count, control in enumerate(controls, 1):
@@ -225,3 +228,25 @@ def test_poses_in_the_plane_are_headings_of_the_x_axis(scene: Scene) -> None:
     c, s = math.cos(yaw / 2), math.sin(yaw / 2)
     scene.set_pose(cube, Pose((0.0, 0.0, 0.1), (c * w, -s * y, c * y, s * w)))
     assert scene.pose2(cube).yaw == pytest.approx(yaw)
+
+
+def test_kernels_step_the_physics_as_python_does() -> None:
+    spec = load_instance("stack", "test", 0).scene
+    ours, theirs = Scene(spec), Scene(spec)
+    _, time, count, geoms, *_ = ours.physics
+    for _ in range(50):
+        step(ours.physics)
+        mujoco.mj_step(theirs.model, theirs.data)
+        assert (time[0], count[0]) == (ours.data.time, ours.data.ncon)
+        assert geoms[: count[0]].tolist() == theirs.data.contact.geom.tolist()
+    assert count[0] > 0
+    assert ours.state_hash() == theirs.state_hash()
+
+
+def test_memory_that_is_elsewhere_is_an_error() -> None:
+    scene = Scene(load_instance("stack", "test", 0).scene)
+    scene.check_memory()
+    addresses, time, count, *others = scene.physics
+    scene.physics = (addresses, time, count + 1, *others)  # type: ignore[assignment]
+    with pytest.raises(PhysicsError, match="Install the version"):
+        scene.check_memory()

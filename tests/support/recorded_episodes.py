@@ -4,11 +4,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache
-from unittest.mock import patch
 
-import mujoco
 import numpy as np
 from kept import kept
+from physics_steps import each_step
 
 from lemma.dataset.recipe.record import EpisodeRecorder, record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
@@ -112,19 +111,9 @@ class _Watch:
 
 @contextmanager
 def watching(scene: Scene) -> Iterator[Extremes]:
-    """Look at a scene after every single physics step, whoever makes it."""
+    """Look at a scene in every single physics step, whoever makes it."""
     watch = _Watch(scene)
-    step = mujoco.mj_step
-
-    def step_and_look(
-        model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1
-    ) -> None:
-        for _ in range(nstep):
-            step(model, data)
-            if data is scene.data:
-                watch.look()
-
-    with patch.object(mujoco, "mj_step", step_and_look):
+    with each_step(scene, watch.look):
         yield watch.extremes
 
 

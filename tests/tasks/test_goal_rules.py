@@ -9,6 +9,7 @@ from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
 from lemma.planning.symbolic_state import SymbolicState
+from lemma.scene.objects.contacts import note_bad
 from lemma.scene.scene import Scene
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.instance import Instance
@@ -25,7 +26,6 @@ from lemma.tasks.teams.rule import (
     Without,
     rule_from,
 )
-from lemma.tasks.teams.rule_watch import first_bad
 
 OF_EXCHANGE = TASKS["exchange"].rules
 TESTS = [load_instance("exchange", "test", index) for index in range(60)]
@@ -167,6 +167,12 @@ def test_the_first_forbidden_contact_is_found_as_by_numpy() -> None:
         bad |= bad.T
         named = who[contacts]
         expected = np.flatnonzero(bad[named[:, 0], named[:, 1]])
-        found.append(first_bad(contacts, who, bad))
-        assert found[-1] == (expected[0] if len(expected) else -1)
+        found.append(expected[0] if len(expected) else -1)
+        first = np.full(2, -1)
+        note_bad(contacts, who, bad, first)
+        assert first.tolist() == ([-1, -1] if found[-1] < 0 else [*named[found[-1]]])
+        # A later contact does not replace it.
+        kept = first.copy()
+        note_bad(np.zeros((1, 2), np.int32), who, np.ones((5, 5), np.bool_), first)
+        assert found[-1] < 0 or first.tolist() == kept.tolist()
     assert {-1, 0, 1} <= {*found}

@@ -119,10 +119,7 @@ class ControlEnv(LemmaEnv):
         controller, simulation = self.controller, episode.simulation
         controller.check(rows)
         controller.command(rows)
-        for _ in range(self.config.ticks_per_step):
-            controller.look()
-            simulation.tick(drive=controller.drive)
-            controller.count_busy()
+        simulation.run(controller.run, self.config.ticks_per_step)
         clocks, ticks = simulation.clocks.values(), controller.busy_ticks()
         for clock, busy in zip(clocks, ticks, strict=True):
             # Add tick by tick: a product would differ in the last bits.

@@ -337,8 +337,8 @@ class Episode:
     def _catch_up(self, snapshot: EpisodeSnapshot) -> None:
         """Carry out anew all that had begun in a snapshot."""
         observers = self.simulation.observers
-        kept, observers[:] = tuple(observers), [self.stages.look]
-        observers += [] if self.rule is None else [self.rule.look]
+        kept = tuple(observers)
+        observers[:] = [] if self.rule is None else [self.rule.look]
         try:
             for one in snapshot.begun:
                 self._pass_until(one.start_s)
@@ -388,13 +388,7 @@ def _watch_rule(simulation: Simulation, goal: Goal) -> RuleWatch | None:
         return None
     parts = {(on.top, on.bottom): on for on in goal.placements}
     watch = RuleWatch(simulation.scene, goal.rule, parts)
-    coasting = simulation.scene.coasting
-
-    def note() -> None:
-        coasting.note()
-        watch.note()
-
     # None of these holds the simulation, which would be a circle.
-    simulation.note, simulation.fault = note, lambda: watch.broken
+    simulation.fault = lambda: watch.broken
     simulation.observers.append(watch.look)
     return watch

@@ -6,6 +6,7 @@ generation and viewers all drive it. Code that wants to watch registers an obser
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -18,22 +19,24 @@ from lemma.env.snapshots import (
     RobotClock,
     Running,
     SimulationSnapshot,
+    Watch,
+    broken_off,
     outcome_of,
     with_losses,
 )
 from lemma.motion.arm_motion import ArmMotion
 from lemma.motion.leaving import NOTHING_LEAVES
-from lemma.motion.outcome import Outcome, SkillResult
+from lemma.motion.outcome import SkillResult
 from lemma.motion.reservations import Reservations
 from lemma.motion.skills import SkillRunner
 from lemma.robots.gripper import FINGER_OPENING_M
-from lemma.scene.build import TICK_S, TIME_STEP_S
+from lemma.scene.build import STEPS_PER_TICK, TICK_S, TIME_STEP_S
+from lemma.scene.coasting import follow, look, step
 from lemma.scene.overlaps import check_layout
 from lemma.scene.scene import Scene
 from lemma.scene.spec import SceneSpec
 from lemma.tasks.subtask import GroundedSubTask
 
-STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
 HORIZON_S = 100.0
 """T_max: simulated seconds after which an episode ends (paper, section IV)."""
 
@@ -64,8 +67,9 @@ class Simulation:
         }
         self.clocks = {name: RobotClock() for name in self.arms}
         self.observers: list[Callable[[], None]] = []
-        self.note: Callable[[], None] = self.scene.coasting.note
-        """Called after every physics step."""
+        """Called after every servo tick."""
+        self.watch: Watch | None = None
+        """Called before them, when it is due."""
         self.fault: Callable[[], str | None] = lambda: None
         """Returns why the episode has failed, if that breaks off what robots do."""
         self.pace: Pace | None = None
@@ -74,6 +78,7 @@ class Simulation:
         self._running: dict[str, Running] = {}
         self._control: FloatArray = self.scene.data.ctrl
         self._commands = np.empty((STEPS_PER_TICK, self.scene.model.nu))
+        self._follow = partial(follow, self.scene.physics, self._commands)
         for arm in self.arms.values():
             self.scene.set_joints(arm.robot, arm.park, FINGER_OPENING_M)
             arm.sync()
@@ -85,6 +90,7 @@ class Simulation:
         """Let the objects sink into their resting contact, then call that time zero."""
         for _ in range(_SETTLE_TICKS):
             mujoco.mj_step(self.scene.model, self.scene.data, STEPS_PER_TICK)
+        self.scene.check_memory()
         self.scene.data.time = 0.0
 
     @property
@@ -97,48 +103,53 @@ class Simulation:
         """Simulated time since the first state [s]."""
         return self.scene.time_s
 
-    def tick(
-        self,
-        active: tuple[str, ...] = (),
-        drive: Callable[[], None] | None = None,
-    ) -> None:
+    def tick(self, active: tuple[str, ...] = ()) -> None:
         """Advance by one servo tick.
 
         Args:
             active: Robots whose reference moves under RMPflow; the servos of the others
                 keep their last command.
-            drive: Called before every physics step, to command servos otherwise.
 
         Raises:
             PhysicsError: The state has become infinite, or no number at all.
         """
-        model, data = self.scene.model, self.scene.data
-        note, start = self.note, data.time
-        if active:
-            # The reference of RMPflow does not depend on the physics within a tick.
-            control, commands = self._control, self._commands
-            commands[:] = control
-            for name in active:
-                self.arms[name].lead(commands)
-            for row in commands:
-                control[:] = row
-                if drive is not None:
-                    drive()
-                mujoco.mj_step(model, data)
-                note()
-        else:
-            for _ in range(STEPS_PER_TICK):
-                if drive is not None:
-                    drive()
-                mujoco.mj_step(model, data)
-                note()
+        # The reference of RMPflow does not depend on the physics within a tick.
+        self._commands[:] = self._control
+        for name in active:
+            self.arms[name].lead(self._commands)
+        self._pass(self._follow, 1)
+
+    def run(self, work: Callable[[int], None], ticks: int) -> None:
+        """Advance by servo ticks in which a controller commands the motors.
+
+        Args:
+            work: Runs a number of servo ticks, with :func:`lemma.scene.coasting.step`
+                and :func:`~lemma.scene.coasting.look`.
+            ticks: Number of servo ticks.
+
+        Raises:
+            PhysicsError: The state has become infinite, or no number at all.
+        """
+        while ticks > 0:
+            count = 1 if self.observers else ticks
+            if self.watch is not None:
+                count = min(count, self.watch.due_ticks)
+            self._pass(work, count)
+            ticks -= count
+
+    def _pass(self, work: Callable[[int], None], ticks: int) -> None:
+        """Run servo ticks without observers in between."""
+        data = self.scene.data
+        start = data.time
+        work(ticks)
         # MuJoCo resets a state that diverges, its time included.
-        if not data.time > start:
+        if not data.time > start + ticks * TICK_S - 0.5 * TIME_STEP_S:
             raise PhysicsError(
                 f"The physics became unstable {start:g} s after the beginning, and "
                 "what is simulated means nothing any more. Reset before you go on."
             )
-        self.scene.coasting.look()
+        if self.watch is not None:
+            self.watch.look(ticks)
         for observer in self.observers:
             observer()
 
@@ -242,7 +253,7 @@ class Simulation:
             if ended or data.time >= end:
                 return ended
             try:
-                self.tick((*self.busy, *self._mind_others()))
+                self.tick((*self._running, *self._mind_others()))
             except BaseException:
                 # An observer may break everything off by raising something.
                 while self._running:
@@ -269,14 +280,14 @@ class Simulation:
 
     def _end_those_done(self) -> tuple[Ended, ...]:
         """Let every skill look at the present state once; free robots that are done."""
-        ended = []
-        for name in self.busy:
+        ended, now_s = [], self.time_s
+        for name in [name for name in self.arms if name in self._running]:
             if name not in self._running:
                 # It ended with its partner.
                 continue
             running = self._running[name]
             try:
-                if running.looks(self.time_s, self._keep_pace(name)):
+                if running.looks(now_s, self._keep_pace(name)):
                     next(running.skill)
             except StopIteration as done:
                 running.result = running.result or done.value
@@ -284,8 +295,9 @@ class Simulation:
                 self._free(name)
                 raise
             other = self._running.get(running.partner)
-            result = outcome_of(running, other, self.time_s)
-            result = result or self._broken_off(running)
+            result = outcome_of(running, other, now_s)
+            thrown, fault = self.scene.coasting.thrown, self.fault()
+            result = result or broken_off(running, now_s, thrown, fault)
             if result is not None:
                 ended.append(self._end(name, result))
         return tuple(ended)
@@ -299,19 +311,6 @@ class Simulation:
         fell = [name for name in self.scene.fallen if name not in running.fallen]
         result = with_losses(result, fell)
         return Ended(running.subtask, result, running.start_s)
-
-    def _broken_off(self, running: Running) -> SkillResult | None:
-        """Return how a sub-task ends that must not go on, None if it may."""
-        took_s, thrown = self.time_s - running.start_s, self.scene.coasting.thrown
-        if (fault := self.fault()) is not None:
-            return SkillResult(Outcome.RULE, fault, took_s)
-        if thrown:
-            said = f"Moved on without a robot: {', '.join(thrown)}."
-            return SkillResult(Outcome.THROWN, said, took_s)
-        if self.time_s >= running.until_s - 0.5 * TIME_STEP_S:
-            said = f"The episode ended at {running.until_s:g} s."
-            return SkillResult(Outcome.OUT_OF_TIME, said, took_s)
-        return None
 
     def _free(self, robot: str) -> None:
         """End what a robot does, and its partner; count the time it took."""
@@ -328,26 +327,29 @@ class Simulation:
 
     def rest(self, seconds: float) -> None:
         """Let time pass without moving any arm."""
-        for _ in range(max(0, int(np.ceil(seconds / TICK_S)))):
-            self.tick()
+        self._commands[:] = self._control
+        self.run(self._follow, math.ceil(seconds / TICK_S))
 
     def stand_still(self, seconds: float) -> None:
         """Let time pass while every arm brakes and then stays where it is."""
-        data, drive = self.scene.data, None
+        if self.scene.actuation == "torque":
+            self.run(self._brake, math.ceil(seconds / TICK_S))
+            return
         if self.scene.actuation == "velocity":
             for arm in self.arms.values():
-                data.ctrl[arm.robot.ctrl] = 0.0
-        elif self.scene.actuation == "torque":
-            drive = self._brake
-        for _ in range(math.ceil(seconds / TICK_S)):
-            self.tick(drive=drive)
+                self._control[arm.robot.ctrl] = 0.0
+        self.rest(seconds)
 
-    def _brake(self) -> None:
-        """Command torques against the joints' speeds; motors limit them."""
+    def _brake(self, ticks: int) -> None:
+        """Run servo ticks with torques against the joints' speeds; motors limit it."""
         data = self.scene.data
-        for arm in self.arms.values():
-            damping = np.array(arm.robot.arm.damping)
-            data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
+        for _ in range(ticks):
+            for _ in range(STEPS_PER_TICK):
+                for arm in self.arms.values():
+                    damping = np.array(arm.robot.arm.damping)
+                    data.ctrl[arm.robot.ctrl] = -damping * data.qvel[arm.robot.dof]
+                step(self.scene.physics)
+            look(self.scene.physics)
 
     def snapshot(self) -> SimulationSnapshot:
         """Return all that the future depends on.

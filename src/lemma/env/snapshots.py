@@ -1,16 +1,29 @@
-"""Snapshots of a simulation, time counters of robots, and running sub-tasks."""
+"""Snapshots and watches of a simulation, time counters, and running sub-tasks."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from lemma.core.poses import FloatArray
 from lemma.motion.outcome import Outcome, SkillResult
 from lemma.motion.reservations import WaitingTimes
 from lemma.motion.rmpflow.workspace import ArmTarget
 from lemma.motion.skills import Skill
+from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import CoastingState
 from lemma.tasks.subtask import GroundedSubTask
+
+
+class Watch(Protocol):
+    """Follows a simulation, and looks at it less often than in every tick."""
+
+    @property
+    def due_ticks(self) -> int:
+        """Number of servo ticks until it looks next, at least 1."""
+
+    def look(self, ticks: int) -> None:
+        """Count servo ticks that have passed, and look if it is due."""
 
 
 @dataclass
@@ -109,6 +122,29 @@ def outcome_of(
     results = [one.result for one in (first, second) if one.result is not None]
     said = next((result for result in results if not result.ok), results[0])
     return SkillResult(said.outcome, said.explanation, now_s - first.start_s)
+
+
+def broken_off(
+    running: Running, now_s: float, thrown: Sequence[str], fault: str | None
+) -> SkillResult | None:
+    """Return how a sub-task ends that must not go on, None if it may.
+
+    Args:
+        running: The sub-task.
+        now_s: Present simulated time [s].
+        thrown: Objects that have been thrown.
+        fault: Why the episode has failed otherwise.
+    """
+    took_s = now_s - running.start_s
+    if fault is not None:
+        return SkillResult(Outcome.RULE, fault, took_s)
+    if thrown:
+        said = f"Moved on without a robot: {', '.join(thrown)}."
+        return SkillResult(Outcome.THROWN, said, took_s)
+    if now_s >= running.until_s - 0.5 * TIME_STEP_S:
+        said = f"The episode ended at {running.until_s:g} s."
+        return SkillResult(Outcome.OUT_OF_TIME, said, took_s)
+    return None
 
 
 _FINAL = (Outcome.OUT_OF_TIME, Outcome.THROWN, Outcome.RULE)

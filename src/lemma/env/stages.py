@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from itertools import product
 from typing import Any
 from weakref import proxy
 
@@ -167,13 +168,20 @@ class StageWatch:
         """The furthest progress so far."""
         self.first: FirstMove | None = None
         """The first object that was moved; None before."""
-        simulation.observers.append(self.look)
+        simulation.watch = self
 
     @cached_property
     def plan(self) -> tuple[SubTask, ...]:
         """The expert's plan for the instance; empty where there is none."""
         found = find_plan(self._start, self._goal, self._grounder)
         return () if found is None else found.subtasks
+
+    @cached_property
+    def _too_heavy(self) -> frozenset[tuple[str, str]]:
+        """The robots and objects that are too heavy for them."""
+        spec = self._scene.spec
+        pairs = product(spec.robot_names, spec.object_names)
+        return frozenset(pair for pair in pairs if self._grounder.overload(*pair))
 
     @cached_property
     def _events(self) -> StageEvents:
@@ -220,10 +228,15 @@ class StageWatch:
         self._stood = None if state.stood is None else list(state.stood)
         self.furthest, self.first = state.furthest, state.first
 
-    def look(self) -> None:
-        """Update from the present state, after a servo tick."""
+    @property
+    def due_ticks(self) -> int:
+        """Number of servo ticks until the next update."""
+        return LOOK_TICKS - self._ticks % LOOK_TICKS
+
+    def look(self, ticks: int) -> None:
+        """Count servo ticks, and update from the present state if it is time."""
         simulation, data = self._simulation, self._scene.data
-        self._ticks += 1
+        self._ticks += ticks
         if self._ticks % LOOK_TICKS:
             return
         near, moved = is_near_or_moved(
@@ -313,7 +326,7 @@ class StageWatch:
     def _is_able(self, robot: str, step: SubTask, *, held: bool) -> bool:
         """Return True if a robot reaches pick and place, and carries the pick."""
         reaches = self._grounder.reaches
-        if step.primitive not in JOINT and self._grounder.overload(robot, step.pick):
+        if step.primitive not in JOINT and (robot, step.pick) in self._too_heavy:
             return False
         if not held and not reaches(robot, self._grip(step.pick, robot)):
             return False

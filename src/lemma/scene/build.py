@@ -28,6 +28,7 @@ TIME_STEP_S = 0.005
 """Physics time step; the periods of 20 Hz control and 10 Hz recording are multiples."""
 TICK_S = 0.01
 """Servo tick: the period at which skills observe the scene and command the arms."""
+STEPS_PER_TICK = round(TICK_S / TIME_STEP_S)
 
 _SKY_PX = 64
 

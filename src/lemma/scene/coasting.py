@@ -11,14 +11,14 @@ robot, the table or the floor.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.engine import mujoco
+from lemma.core.engine import mj_step, mujoco
 from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray
+from lemma.scene.objects.contacts import note_bad
 
 COAST_M = 0.04
 """Largest horizontal distance of an object's centre of mass from its position when a
@@ -30,6 +30,45 @@ _SLOW_M_S = 0.02
 _REST_TICKS = 10
 """Number of servo ticks that all objects must be slow to count as resting."""
 _ROOM, _ROBOT = -1, -2
+
+
+OBJECT = np.dtype(
+    [
+        ("qpos_at", np.int64),
+        ("qvel_at", np.int64),
+        ("mass_at", np.float64, 3),
+        ("left_m", np.float64, 2),
+        ("since_s", np.float64),
+        # Since the last look: whether a robot led it, and whether it did not fly.
+        ("held", np.bool_),
+        ("resting", np.bool_),
+        ("thrown", np.bool_),
+    ],
+    align=True,
+)
+"""Record of an object; see the attributes of :class:`Coasting`."""
+
+_Indices = NDArray[np.int64]
+Physics = tuple[
+    _Indices,
+    FloatArray,
+    NDArray[np.int32],
+    NDArray[np.int32],
+    _Indices,
+    _Indices,
+    NDArray[np.void],
+    _Indices,
+    NDArray[np.bool_],
+    _Indices,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+]
+"""All that kernels need to advance the physics of a scene: the four arrays of
+:data:`~lemma.core.engine.Memory`; ``owner``, ``flags`` and ``objects`` of
+:class:`Coasting`; ``who``, ``bad`` and ``first`` of :class:`.ForbiddenContacts`; and
+positions, velocities and motor commands. It is a plain tuple, because Numba takes
+those fastest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,38 +92,35 @@ class Coasting:
             data: Its data, which are read at every call.
         """
         free = [j for j in range(model.njnt) if model.jnt_type[j] == 0]
+        bodies = [int(model.jnt_bodyid[j]) for j in free]
         self._data = data
-        self._qpos, self._qvel = data.qpos, data.qvel
-        self.qpos_at = model.jnt_qposadr[free].astype(np.int64)
+        self._qpos = data.qpos
+        self.objects = np.zeros(len(free), OBJECT)
+        """A record of each object."""
+        self.objects["qpos_at"] = model.jnt_qposadr[free]
+        self.objects["qvel_at"] = model.jnt_dofadr[free]
+        self.objects["mass_at"] = model.body_ipos[bodies].reshape(-1, 3)
+        self.qpos_at = self.objects["qpos_at"].copy()
         """Address of each object's position in ``qpos``, (objects,)."""
-        self.qvel_at = model.jnt_dofadr[free].astype(np.int64)
+        self.qvel_at = self.objects["qvel_at"].copy()
         """Address of each object's velocity in ``qvel``, (objects,)."""
-        self.mass_at = model.body_ipos[[int(model.jnt_bodyid[j]) for j in free]]
-        self.mass_at = np.ascontiguousarray(self.mass_at.reshape(-1, 3))
+        self.mass_at = self.objects["mass_at"].copy()
         """Centre of mass of each object in its frame, (objects, 3) [m]."""
-        self.owner = _owners(model, [int(model.jnt_bodyid[j]) for j in free])
+        self.owner = _owners(model, bodies)
         """Owner of each geom, (ngeom,): index of an object; negative for the room or a
         robot."""
-        self.names = tuple(model.body(int(model.jnt_bodyid[j])).name for j in free)
+        self.names = tuple(model.body(body).name for body in bodies)
         """The objects that are not fixed to the table."""
-        self.left_m = np.zeros((len(free), 2))
+        self.left_m: FloatArray = self.objects["left_m"]
         """World x, y of each object's centre of mass when a robot last led it or it
         last rested, (objects, 2) [m]."""
-        self.since_s = np.zeros(len(free))
+        self.since_s: FloatArray = self.objects["since_s"]
         """Simulated time of each object's last contact, (objects,) [s]."""
-        self._thrown = np.zeros(len(free), np.bool_)
+        self._thrown = self.objects["thrown"]
         self._fallen = np.zeros(len(free), np.bool_)
-        self._held = np.zeros(len(free), np.bool_)
-        self._resting = np.zeros(len(free), np.bool_)
-        self._awake = 0
-        # Bound once, because collecting the arguments takes as long as passing them.
-        self._rest = partial(
-            _rest,
-            *(self._qvel, self.qvel_at, self._qpos, self.qpos_at, self.mass_at),
-            *(self.left_m, self.since_s),
-        )
-        self.is_thrown = False
-        """Whether an object has been thrown."""
+        self.flags = np.zeros(2, np.int64)
+        """How many servo ticks it goes on to note contacts, 0 if all objects rest; and
+        whether any has been thrown."""
         for name in self.names:
             self.put(name)
 
@@ -93,6 +129,11 @@ class Coasting:
         k = self.names.index(name)
         self.left_m[k] = _middle(self._qpos, self.qpos_at[k], self.mass_at[k])
         self.since_s[k] = self._data.time
+
+    @property
+    def is_thrown(self) -> bool:
+        """Whether an object has been thrown."""
+        return bool(self.flags[1])
 
     @property
     def thrown(self) -> tuple[str, ...]:
@@ -113,15 +154,14 @@ class Coasting:
 
     def state(self) -> CoastingState:
         """Return a copy of the state."""
-        return CoastingState(
-            self.left_m.copy(), self.since_s.copy(), self._thrown.copy(), self._awake
-        )
+        copies = self.left_m.copy(), self.since_s.copy(), self._thrown.copy()
+        return CoastingState(*copies, int(self.flags[0]))
 
     def restore(self, state: CoastingState) -> None:
         """Restore a state that :meth:`state` returned."""
         self.left_m[:], self.since_s[:] = state.left_m, state.since_s
         self._thrown[:] = state.thrown
-        self._awake, self.is_thrown = state.awake, bool(state.thrown.any())
+        self.flags[:] = state.awake, state.thrown.any()
 
     def middles(self) -> FloatArray:
         """Return world x, y of the objects' centres of mass, (objects, 2) [m]."""
@@ -131,42 +171,9 @@ class Coasting:
 
     def led(self) -> NDArray[np.bool_]:
         """Return for each object whether a robot leads it now, (objects,)."""
-        led, carried = np.zeros_like(self._held), np.zeros_like(self._held)
+        led, carried = np.zeros((2, len(self.names)), np.bool_)
         note_leads(self._data.contact.geom, self.owner, led, carried)
         return led
-
-    def note(self) -> None:
-        """Record contacts. Call this after every physics step.
-
-        Contacts with a pushed cube are intermittent: many last a single step.
-        """
-        if self._awake:
-            note_leads(self._data.contact.geom, self.owner, self._held, self._resting)
-
-    def look(self) -> None:
-        """Evaluate the recorded contacts. Call this once per servo tick."""
-        now, awake = self._data.time, self._awake
-        if awake <= 1:
-            if self._rest(now):
-                self._awake = 0
-                return
-            self._awake = _REST_TICKS
-            if not awake:
-                self.note()
-        else:
-            slow = _are_slow(self._qvel, self.qvel_at)
-            self._awake = awake - 1 if slow else _REST_TICKS
-        self.is_thrown |= _follow(
-            self._qpos,
-            self.qpos_at,
-            self.mass_at,
-            self._held,
-            self._resting,
-            self.left_m,
-            self.since_s,
-            self._thrown,
-            now,
-        )
 
 
 def _owners(model: mujoco.MjModel, bodies: list[int]) -> NDArray[np.int64]:
@@ -215,32 +222,13 @@ def _middle(qpos: FloatArray, at: int, mass_at: FloatArray) -> tuple[float, floa
 
 
 @kernel
-def _are_slow(qvel: FloatArray, qvel_at: NDArray[np.int64]) -> bool:
+def _are_slow(objects: NDArray[np.void], qvel: FloatArray) -> bool:
     """Return whether all objects are slow."""
-    for at in qvel_at:
+    for k in range(len(objects)):
+        at = objects[k].qvel_at
         x, y, z = qvel[at], qvel[at + 1], qvel[at + 2]
         if x * x + y * y + z * z > _SLOW_M_S * _SLOW_M_S:
             return False
-    return True
-
-
-@kernel
-def _rest(  # noqa: PLR0913
-    qvel: FloatArray,
-    qvel_at: NDArray[np.int64],
-    qpos: FloatArray,
-    qpos_at: NDArray[np.int64],
-    mass_at: FloatArray,
-    left_m: FloatArray,
-    since_s: FloatArray,
-    now: float,
-) -> bool:
-    """If all objects are slow, set their rest positions; return whether they are."""
-    if not _are_slow(qvel, qvel_at):
-        return False
-    for k in range(len(qpos_at)):
-        left_m[k, 0], left_m[k, 1] = _middle(qpos, qpos_at[k], mass_at[k])
-        since_s[k] = now
     return True
 
 
@@ -278,29 +266,72 @@ def note_leads(
         resting[k] |= carried[k]
 
 
+@kernel(nogil=True)
+def step(physics: Physics) -> None:
+    """Advance the physics by one step, and note contacts.
+
+    Contacts with a pushed cube are intermittent: many last a single step. So do those
+    of a robot that knocks against something.
+    """
+    addresses, _, count, geoms, owner, flags, objects, who, bad, first = physics[:10]
+    mj_step(addresses)
+    contacts = geoms[: count[0]]
+    if flags[0] > 0:
+        note_leads(contacts, owner, objects["held"], objects["resting"])
+    note_bad(contacts, who, bad, first)
+
+
+@kernel(nogil=True)
+def follow(physics: Physics, commands: FloatArray, ticks: int) -> None:
+    """Run servo ticks, each with the same motor commands, (steps, nu)."""
+    control = physics[12]
+    for _ in range(ticks):
+        for row in commands:
+            control[:] = row
+            step(physics)
+        look(physics)
+
+
 @kernel
-def _follow(  # noqa: PLR0913
-    qpos: FloatArray,
-    qpos_at: NDArray[np.int64],
-    mass_at: FloatArray,
-    held: NDArray[np.bool_],
-    resting: NDArray[np.bool_],
-    left_m: FloatArray,
-    since_s: FloatArray,
-    thrown: NDArray[np.bool_],
-    now: float,
-) -> bool:
-    """Evaluate and clear the flags; return whether an object is newly thrown."""
-    newly = False
-    for k in range(len(held)):
-        x, y = _middle(qpos, qpos_at[k], mass_at[k])
-        if held[k]:
-            left_m[k, 0], left_m[k, 1] = x, y
-        if resting[k]:
-            since_s[k] = now
-        dx, dy = x - left_m[k, 0], y - left_m[k, 1]
-        far = dx * dx + dy * dy > COAST_M * COAST_M
-        if (far or now - since_s[k] > FLIGHT_S) and not thrown[k]:
-            thrown[k] = newly = True
-        held[k] = resting[k] = False
-    return newly
+def look(physics: Physics) -> None:
+    """Evaluate the noted contacts, at the end of a servo tick."""
+    _, time, count, geoms, owner, flags, objects = physics[:7]
+    qpos, qvel = physics[10:12]
+    now, awake = time[0], flags[0]
+    slow = _are_slow(objects, qvel)
+    if awake <= 1 and slow:
+        flags[0] = 0
+        for k in range(len(objects)):
+            _leave(objects[k], qpos)
+            objects[k].since_s = now
+        return
+    flags[0] = awake - 1 if slow else _REST_TICKS
+    if awake == 0:
+        note_leads(geoms[: count[0]], owner, objects["held"], objects["resting"])
+    for k in range(len(objects)):
+        if _is_thrown(objects[k], qpos, now):
+            flags[1] = 1
+
+
+@kernel
+def _leave(thing: np.record, qpos: FloatArray) -> None:
+    """Set where an object was when a robot last led it, to where it is."""
+    x, y = _middle(qpos, thing.qpos_at, thing.mass_at)
+    thing.left_m[0], thing.left_m[1] = x, y
+
+
+@kernel
+def _is_thrown(thing: np.record, qpos: FloatArray, now: float) -> bool:
+    """Evaluate and clear what was noted; return whether the object has been thrown."""
+    if thing.held:
+        _leave(thing, qpos)
+    if thing.resting:
+        thing.since_s = now
+    x, y = _middle(qpos, thing.qpos_at, thing.mass_at)
+    dx, dy = x - thing.left_m[0], y - thing.left_m[1]
+    far = dx * dx + dy * dy > COAST_M * COAST_M
+    if far or now - thing.since_s > FLIGHT_S:
+        thing.thrown = True
+    thing.held = thing.resting = False
+    thrown: bool = thing.thrown
+    return thrown

@@ -8,15 +8,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lemma.core.engine import mujoco
-from lemma.core.errors import UnknownNameError
+from lemma.core.engine import memory_of, mujoco
+from lemma.core.errors import PhysicsError, UnknownNameError
 from lemma.core.poses import FloatArray, Pose, Pose2
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.robots.ur.build import ARMS, JOINTS, ArmSpec
 from lemma.scene.build import compile_model
-from lemma.scene.coasting import Coasting
+from lemma.scene.coasting import Coasting, Physics
 from lemma.scene.objects.bodies import resting_quaternion
-from lemma.scene.objects.contacts import LEFT, RIGHT, parts_of_robots
+from lemma.scene.objects.contacts import (
+    LEFT,
+    RIGHT,
+    ForbiddenContacts,
+    parts_of_robots,
+)
 from lemma.scene.spec import ObjectPlacement, RobotPlacement, SceneSpec
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -85,6 +90,8 @@ class Scene:
         }
         self.object_names = spec.object_names
         """Names of the entities on the table."""
+        self.kinds = {placed.name: placed.entity.kind for placed in spec.objects}
+        """Kind of each entity on the table, by name."""
         self._rows = {name: self._view_row(name) for name in self.object_names}
         self._entity_by_body = {
             self.model.body(placed.name).id: placed.name for placed in spec.objects
@@ -92,6 +99,29 @@ class Scene:
         self._state_size = mujoco.mj_stateSize(self.model, _STATE)
         self.coasting = Coasting(self.model, self.data)
         """Tracks objects that move without a robot."""
+        self.forbidden = ForbiddenContacts(self.coasting.owner, self.parts[:, 0])
+        """Contacts that a rule forbids."""
+        self.physics: Physics = (
+            *memory_of(self.model, self.data),
+            *(self.coasting.owner, self.coasting.flags, self.coasting.objects),
+            *(self.forbidden.who, self.forbidden.bad, self.forbidden.first),
+            *(self._qpos, self._qvel, self.data.ctrl),
+        )
+        """All that kernels need to advance the physics; valid while this scene
+        exists."""
+
+    def check_memory(self) -> None:
+        """Check that kernels see time and contacts where MuJoCo has them.
+
+        Raises:
+            PhysicsError: This version of MuJoCo has them elsewhere.
+        """
+        _, time, count, *_ = self.physics
+        if (time[0], count[0]) != (self.data.time, self.data.ncon):
+            raise PhysicsError(
+                f"MuJoCo {mujoco.__version__} keeps its state in another way. Install "
+                "the version that this package requires."
+            )
 
     def _index_robot(self, name: str, placement: RobotPlacement) -> RobotIndex:
         model = self.model

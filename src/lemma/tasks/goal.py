@@ -116,10 +116,9 @@ class On:
 
     def _is_above(self, scene: Scene) -> bool:
         """Return whether the top's centre is over the supporting part of the bottom."""
-        limit = kind_of(self.bottom).support_m
-        assert limit is not None
         top, bottom = scene.position(self.top), scene.position(self.bottom)
-        kind = kind_of(self.top)
+        kind, limit = scene.kinds[self.top], scene.kinds[self.bottom].support_m
+        assert limit is not None
         if kind.span_m is not None:
             at = Pose2(float(bottom[0]), float(bottom[1]))
             rests = kind.rests(scene.pose2(self.top))

@@ -20,7 +20,8 @@ from lemma.tasks.instance import Instance
 from lemma.tasks.sampling import sample
 from lemma.tasks.suite import FREE_SPLIT, TASKS
 
-_PARKED_M = 20.0
+PARKED_M = 20.0
+"""Height of parked objects, and the x of the first one [m]."""
 _KINDS = ("cube", "pad")
 
 
@@ -165,7 +166,7 @@ def _row(
         kind = kind_of(name)
         at = slot - first[kind.name]
         body, address = int(model.body(name).id), scene.qpos_of(name)
-        pose = np.array([_PARKED_M + slot, 0.0, _PARKED_M, 1, 0, 0, 0])
+        pose = np.array([PARKED_M + slot, 0.0, PARKED_M, 1, 0, 0, 0])
         if at < len(order[kind.name]):
             there = spec.placement(order[kind.name][at]).pose
             pose[:] = (*there.xy, kind.origin_m, *resting_quaternion(there.yaw))

@@ -7,10 +7,12 @@ import warp as wp
 from lemma.env.control.motor_commands import ACCELERATION_RAD_S2
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.coasting import COAST_M, FLIGHT_S
+from lemma.warp.instances import PARKED_M
 
 _H, _A = wp.constant(TIME_STEP_S), wp.constant(ACCELERATION_RAD_S2)
 _STEEP = wp.constant(math.cos(math.radians(30.0)))
 _COAST, _FLIGHT = wp.constant(COAST_M), wp.constant(FLIGHT_S)
+_PARKED = wp.constant(0.5 * PARKED_M)
 
 
 @wp.kernel
@@ -23,7 +25,7 @@ def drive(
     rate: wp.array2d(dtype=float),  # type: ignore[valid-type]
     ctrl: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ) -> None:
-    """Advance the reference of each joint, as ``drive_positions`` on the CPU.
+    """Advance the reference of each joint, as ``run_positions`` on the CPU.
 
     There is no safety filter. ``numbers`` has speed, lag and range of each joint, and
     ``addresses`` its indices in ``qpos`` and ``ctrl``.
@@ -123,6 +125,9 @@ def follow(  # noqa: PLR0913
     for k in range(count):
         at = int(addresses[k, 0])
         bit = wp.int32(2) << k
+        if qpos[w, at + 2] > _PARKED:
+            # Nothing carries a parked object, so it would count as one that flies.
+            continue
         x = float(qpos[w, at])
         y = float(qpos[w, at + 1])
         if awake[w] == 0 or (led & bit) != 0:

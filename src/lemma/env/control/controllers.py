@@ -18,13 +18,15 @@ import numpy as np
 from lemma.core.engine import mujoco
 from lemma.core.poses import FloatArray
 from lemma.env.control.motor_commands import (
-    count_moving,
-    drive_positions,
-    drive_torques,
-    drive_velocities,
+    Team,
+    end,
+    run_positions,
+    run_velocities,
+    step_torques,
 )
 from lemma.env.control.safety_filter import SafetyFilter
 from lemma.motion.arm_motion import ArmMotion
+from lemma.scene.build import STEPS_PER_TICK
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,18 +60,13 @@ class Controller(ABC):
         for arm, state in zip(arms, self.states, strict=True):
             # Share memory: moving or restoring an arm updates it here too.
             arm.state = state
-        data = self.scene.data
-        self.qvel: FloatArray = data.qvel
-        guard = self.guard
-        self.shared = (
-            *(guard.records, self.states, self.openings),
-            *(guard.obstacles, guard.objects, data.qpos, data.ctrl),
-        )
-        """First arguments of each kernel in :mod:`lemma.env.control.motor_commands`:
-        arrays of the arms, the safety filter and the simulation, which kernels read and
-        write in place."""
         self._busy_ticks = np.zeros(len(arms), np.int64)
-        self._count = partial(count_moving, guard.records, self.qvel, self._busy_ticks)
+        self.team: Team = (
+            *(self.scene.physics, self.guard.arrays, self.guard.records),
+            *(self.states, self.openings, self._busy_ticks),
+        )
+        """First argument of each kernel in :mod:`lemma.env.control.motor_commands`:
+        arrays that kernels read and write in place."""
 
     def check(self, rows: FloatArray) -> None:  # noqa: B027 - bounds are mostly enough
         """Check an action; changes nothing.
@@ -84,17 +81,9 @@ class Controller(ABC):
         for arm, opening_m in zip(self.arms, self.openings.tolist(), strict=True):
             arm.opening_m = opening_m
 
-    def look(self) -> None:
-        """Update obstacles and objects, at the beginning of a servo tick."""
-        self.guard.look()
-
-    def count_busy(self) -> None:
-        """Note which arms move, at the end of a servo tick."""
-        self._count()
-
     @abstractmethod
-    def drive(self) -> None:
-        """Command the motors, before every physics step."""
+    def run(self, ticks: int) -> None:
+        """Advance the physics by servo ticks, and command the motors meanwhile."""
 
     def busy_ticks(self) -> list[int]:
         """Return the number of servo ticks in which each arm moved since the last call.
@@ -111,29 +100,29 @@ class JointController(Controller):
     """A controller with one number for each joint."""
 
     kernel: Callable[..., None]
-    """Commands the motors of all arms before a physics step."""
+    """See :mod:`lemma.env.control.motor_commands`."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are; every command is 0."""
         super().__init__(arms, step)
         self.wanted = np.zeros((len(arms), 6))
         # Bind arguments once: collecting them takes as long as the call.
-        self._drive = partial(self.kernel, *self.shared, self.wanted)
+        self._run = partial(self.kernel, self.team, self.wanted)
 
     def command(self, rows: FloatArray) -> None:
         """Set joint angles [rad], speeds [rad/s] or torques [N m]."""
         super().command(rows)
         self.wanted[:] = rows[:, :6]
 
-    def drive(self) -> None:
-        """Advance the references."""
-        self._drive()
+    def run(self, ticks: int) -> None:
+        """Advance the references and the physics by servo ticks."""
+        self._run(ticks)
 
 
 class PositionController(JointController):
     """Moves joints to target angles with trapezoidal velocity profiles."""
 
-    kernel = staticmethod(drive_positions)
+    kernel = staticmethod(run_positions)
 
 
 class VelocityController(JointController):
@@ -142,13 +131,13 @@ class VelocityController(JointController):
     The reference angles are the measured ones.
     """
 
-    kernel = staticmethod(drive_velocities)
+    kernel = staticmethod(run_velocities)
 
 
 class TorqueController(JointController):
     """Adds torques to gravity compensation, reduced where a joint would be too fast."""
 
-    kernel = staticmethod(drive_torques)
+    kernel = staticmethod(step_torques)
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are; every torque is 0."""
@@ -157,17 +146,22 @@ class TorqueController(JointController):
         self._efforts = np.array([arm.robot.arm.effort_limits for arm in arms])
         self._inertia = np.empty((count, count))
         forces = (data.qfrc_bias, data.qfrc_passive)
-        self._drive = partial(self._drive, self.qvel, self._inertia, *forces)
+        self._run = partial(self._run, self._inertia, *forces)
 
     def command(self, rows: FloatArray) -> None:
         """Set joint torques [N m]."""
         super().command(rows)
         np.clip(self.wanted, -self._efforts, self._efforts, out=self.wanted)
 
-    def drive(self) -> None:
-        """Command the torques that the joints' velocity limits allow."""
-        self._update_dynamics()
-        self._drive()
+    def run(self, ticks: int) -> None:
+        """Run servo ticks with the torques that the joints' velocity limits allow."""
+        physics, _, records, _, _, counts = self.team
+        for _ in range(ticks):
+            self.guard.look()
+            for _ in range(STEPS_PER_TICK):
+                self._update_dynamics()
+                self._run()
+            end(physics, records, counts)
 
     def _update_dynamics(self) -> None:
         """Compute the inertia matrix and bias forces of the present state."""

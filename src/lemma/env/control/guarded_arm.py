@@ -1,7 +1,6 @@
 """One flat record per arm, for the compiled kernels of controllers.
 
-The records of all arms enter Numba as a single pointer, so calls are cheap: one runs
-before every physics step and one in every servo tick.
+The records of all arms enter Numba as a single pointer, so calls are cheap.
 
 The kernels compute cheap upper bounds of how fast parts of an arm approach other
 things. The distance of two capsules is at least that of their bounding spheres, and no

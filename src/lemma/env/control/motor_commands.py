@@ -1,11 +1,8 @@
-"""Kernels that compute motor commands for all arms before a physics step.
+"""Kernels that advance the physics by servo ticks, with motor commands of all arms.
 
-There is one kernel for each control mode. It advances references, applies the safety
-filter and writes the commands. Each takes the records of n arms
-(:data:`~lemma.env.control.guarded_arm.ARM`), their references (n, 2, 6), the openings
-of their grippers (n,) [m], obstacles and objects of the safety filter
-(:class:`~lemma.env.control.safety_filter.SafetyFilter`), positions and commands of the
-simulation, and then the action.
+There is one kernel for each control mode. Before each physics step it advances
+references, applies the safety filter and writes the commands. Each takes a
+:data:`Team` and then the action.
 """
 
 import math
@@ -15,115 +12,122 @@ from numpy.typing import NDArray
 
 from lemma.core.kernels import borrowed, kernel
 from lemma.core.poses import FloatArray
-from lemma.env.control.safety_filter import keep_clear
-from lemma.motion.arm_motion import SUBSTEP_S, SUBSTEPS
+from lemma.env.control.safety_filter import Guard, find_obstacles, keep_clear
+from lemma.motion.arm_motion import POSTURE_ALONE, SUBSTEP_S, SUBSTEPS
 from lemma.motion.rmpflow.policy import integrate, solve
-from lemma.scene.build import TIME_STEP_S
+from lemma.scene.build import STEPS_PER_TICK, TIME_STEP_S
+from lemma.scene.coasting import Physics, look, step
+
+Team = tuple[
+    Physics, Guard, NDArray[np.void], FloatArray, FloatArray, NDArray[np.int64]
+]
+"""The physics, obstacles of the safety filter, and of n arms: records, (n,), see
+:data:`~lemma.env.control.guarded_arm.ARM`; references, (n, 2, 6) [rad, rad/s]; openings
+of the grippers, (n,) [m]; and in how many servo ticks each moved, (n,)."""
 
 ACCELERATION_RAD_S2 = 10.0
 """Largest acceleration of a joint's reference, which a stretched arm can follow."""
 
+SWING_RAD = 0.25
+"""An arm whose base joint has to turn further than this swings around first."""
 _MOVING_RAD_S = 0.02
 _MOVING_M_S = 0.002
 
 
-@kernel
-def drive_positions(  # noqa: PLR0913 - one call is what makes it fast
-    records: np.ndarray,
-    states: FloatArray,
-    openings: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-    qpos: FloatArray,
-    control: FloatArray,
-    targets: FloatArray,
-) -> None:
+@kernel(nogil=True)
+def run_positions(team: Team, targets: FloatArray, ticks: int) -> None:
     """Move joints to angles, (n, 6) [rad], with trapezoidal velocity profiles."""
+    physics, guard, records, states, openings, counts = team
+    qpos, control = borrowed(physics[10]), borrowed(physics[12])
+    obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, targets = borrowed(states), borrowed(targets)
-    obstacles, objects = borrowed(obstacles), borrowed(objects)
-    for k in range(records.shape[0]):
-        arm, state = records[k], states[k]
-        approach(state, targets[k], arm.speeds)
-        keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
-        advance(state, arm.range)
-        _send_reference(arm, state, openings[k], qpos, control)
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                approach(state, targets[k], arm.speeds)
+                keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+                advance(state, arm.range)
+                _send_reference(arm, state, openings[k], qpos, control)
+            step(physics)
+        end(physics, records, counts)
 
 
-@kernel
-def drive_velocities(  # noqa: PLR0913
-    records: np.ndarray,
-    states: FloatArray,
-    openings: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-    qpos: FloatArray,
-    control: FloatArray,
-    wanted: FloatArray,
-) -> None:
+@kernel(nogil=True)
+def run_velocities(team: Team, wanted: FloatArray, ticks: int) -> None:
     """Move joints at speeds, (n, 6) [rad/s]; reference angles are the measured ones."""
-    states, wanted, qpos = borrowed(states), borrowed(wanted), borrowed(qpos)
-    obstacles, objects = borrowed(obstacles), borrowed(objects)
-    for k in range(records.shape[0]):
-        arm, state = records[k], states[k]
-        state[0] = qpos[arm.qpos : arm.qpos + 6]
-        accelerate(state, wanted[k], arm.speeds, arm.range)
-        keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
-        control[arm.ctrl : arm.ctrl + 6] = state[1]
-        control[arm.gripper_ctrl] = openings[k]
+    physics, guard, records, states, openings, counts = team
+    qpos, control = borrowed(physics[10]), borrowed(physics[12])
+    obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
+    states, wanted = borrowed(states), borrowed(wanted)
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                state[0] = qpos[arm.qpos : arm.qpos + 6]
+                accelerate(state, wanted[k], arm.speeds, arm.range)
+                keep_clear(arm, obstacles[k], objects[k], state[0], state[1])
+                control[arm.ctrl : arm.ctrl + 6] = state[1]
+                control[arm.gripper_ctrl] = openings[k]
+            step(physics)
+        end(physics, records, counts)
 
 
-@kernel
-def drive_poses(  # noqa: PLR0913
-    records: np.ndarray,
-    states: FloatArray,
-    openings: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-    qpos: FloatArray,
-    control: FloatArray,
-    workspaces: np.ndarray,
-    spheres: FloatArray,
+@kernel(nogil=True)
+def run_poses(
+    team: Team, workspaces: np.ndarray, spheres: FloatArray, swings: bool, ticks: int
 ) -> None:
-    """Follow RMPflow, given its records (n,) and spheres (n, m, 6)."""
+    """Follow RMPflow, given its records (n,) and spheres (n, m, 6).
+
+    If an arm ``swings``, it moves in joint space while its base has far to turn.
+    """
+    physics, guard, records, states, openings, counts = team
+    qpos, control = borrowed(physics[10]), borrowed(physics[12])
+    obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, spheres = borrowed(states), borrowed(spheres)
-    obstacles, objects = borrowed(obstacles), borrowed(objects)
     before, rates = np.empty(6), np.empty(6)
-    for k in range(records.shape[0]):
-        arm, state = records[k], states[k]
-        before[:] = state[0]
-        workspace = workspaces[k : k + 1]
-        integrate(workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS)
-        for i in range(6):
-            rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
-        if keep_clear(arm, obstacles[k], objects[k], before, rates):
-            for i in range(6):
-                state[0, i] = before[i] + TIME_STEP_S * rates[i]
-                state[1, i] = rates[i]
-        _send_reference(arm, state, openings[k], qpos, control)
+    for _ in range(ticks):
+        find_obstacles(guard, records, qpos)
+        if swings:
+            swing_far(states, workspaces)
+        for _ in range(STEPS_PER_TICK):
+            for k in range(records.shape[0]):
+                arm, state = records[k], states[k]
+                before[:] = state[0]
+                workspace = workspaces[k : k + 1]
+                integrate(
+                    workspace, spheres[k], state, obstacles[k], SUBSTEP_S, SUBSTEPS
+                )
+                for i in range(6):
+                    rates[i] = (state[0, i] - before[i]) / TIME_STEP_S
+                if keep_clear(arm, obstacles[k], objects[k], before, rates):
+                    for i in range(6):
+                        state[0, i] = before[i] + TIME_STEP_S * rates[i]
+                        state[1, i] = rates[i]
+                _send_reference(arm, state, openings[k], qpos, control)
+            step(physics)
+        end(physics, records, counts)
 
 
 @kernel
-def drive_torques(  # noqa: PLR0913
-    records: np.ndarray,
-    states: FloatArray,
-    openings: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-    qpos: FloatArray,
-    control: FloatArray,
+def step_torques(
+    team: Team,
     wanted: FloatArray,
-    qvel: FloatArray,
     matrix: FloatArray,
     bias_forces: FloatArray,
     passive_forces: FloatArray,
 ) -> None:
     """Apply torques, (n, 6) [N m], as far as the joints' velocity limits allow.
 
-    The last arguments are the velocities of all joints, the inertia matrix of the
+    This is a single physics step. The last arguments are the inertia matrix of the
     scene, and its joint forces.
     """
+    physics, guard, records, states, openings, _ = team
+    qpos, qvel, control = physics[10:]
+    obstacles, objects = borrowed(guard[2]), borrowed(guard[3])
     states, wanted = borrowed(states), borrowed(wanted)
-    obstacles, objects = borrowed(obstacles), borrowed(objects)
     inertia, bias, rates = np.empty((6, 6)), np.empty(6), np.empty(6)
     for k in range(records.shape[0]):
         arm, state, start = records[k], states[k], records[k].dof
@@ -141,6 +145,39 @@ def drive_torques(  # noqa: PLR0913
             steer(inertia, bias, rates - state[1], arm.efforts, torques)
         control[arm.ctrl : arm.ctrl + 6] = torques
         control[arm.gripper_ctrl] = openings[k]
+    step(physics)
+
+
+@kernel
+def end(physics: Physics, records: np.ndarray, counts: NDArray[np.int64]) -> None:
+    """End a servo tick: look at the objects, and count it for each arm that moves.
+
+    An arm moves if a joint is faster than 0.02 rad/s or a finger is faster than 2 mm/s.
+    """
+    look(physics)
+    qvel = physics[11]
+    for k in range(records.shape[0]):
+        start, moving = records[k].dof, False
+        for i in range(8):
+            if abs(qvel[start + i]) > (_MOVING_RAD_S if i < 6 else _MOVING_M_S):
+                moving = True
+        counts[k] += moving
+
+
+@kernel
+def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
+    """Select joint-space motion for arms whose base has far to turn, else straight.
+
+    Args:
+        states: The references of n arms, (n, 2, 6) [rad, rad/s].
+        workspaces: The records of RMPflow, (n,), each with a posture; their weights are
+            written.
+    """
+    for k in range(states.shape[0]):
+        goal = workspaces[k].goal
+        far = abs(goal.posture[0] - states[k, 0, 0]) > SWING_RAD
+        goal.target_weight = 0.0 if far else 1.0
+        goal.posture_weight = POSTURE_ALONE if far else 1.0
 
 
 @kernel
@@ -162,22 +199,6 @@ def _send_reference(
         q, span = qpos[arm.qpos + i], arm.lag_s * arm.speeds[i]
         control[arm.ctrl + i] = min(q + span, max(q - span, command))
     control[arm.gripper_ctrl] = opening
-
-
-@kernel
-def count_moving(
-    records: np.ndarray, qvel: FloatArray, counts: NDArray[np.int64]
-) -> None:
-    """Increment the count, (n,), of each arm that moves.
-
-    An arm moves if a joint is faster than 0.02 rad/s or a finger is faster than 2 mm/s.
-    """
-    for k in range(records.shape[0]):
-        start, moving = records[k].dof, False
-        for i in range(8):
-            if abs(qvel[start + i]) > (_MOVING_RAD_S if i < 6 else _MOVING_M_S):
-                moving = True
-        counts[k] += moving
 
 
 # Limits of a joint within a physics step: speeds, accelerations and torques.

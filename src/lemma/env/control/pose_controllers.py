@@ -12,7 +12,7 @@ from lemma.core.kernels import kernel
 from lemma.core.poses import FloatArray, quaternion_from_matrix
 from lemma.env.control.controllers import Controller, StepSize
 from lemma.env.control.guarded_arm import CAPSULES
-from lemma.env.control.motor_commands import drive_poses
+from lemma.env.control.motor_commands import run_poses
 from lemma.env.control.rotations import (
     Quaternion,
     axis_angle_from_quaternion,
@@ -21,7 +21,7 @@ from lemma.env.control.rotations import (
     quaternion_from_rot6d,
 )
 from lemma.env.control.safety_filter import transform
-from lemma.motion.arm_motion import POSTURE_ALONE, ArmMotion, choose_posture
+from lemma.motion.arm_motion import ArmMotion, choose_posture
 from lemma.robots.gripper import FINGER_OPENING_M
 from lemma.scene.table import TABLE_HALF_X_M, TABLE_HALF_Y_M
 
@@ -35,8 +35,6 @@ HIGHEST_FROM_BASE_M = (CEILING_M, CEILING_M, CEILING_M)
 """The same, in the frame of a robot's base, which stands on the table."""
 LEASH_STEPS = 2.0
 """How far a target of delta actions can be ahead of the arm, in steps."""
-SWING_RAD = 0.25
-"""An arm whose base joint has to turn further than this swings around first."""
 
 _LEAST_NORM = 1e-3
 
@@ -84,6 +82,8 @@ class PoseController(Controller):
 
     rotation = QUATERNION
     """Representation of rotations, after the position."""
+    swings = False
+    """Whether arms whose base has far to turn swing around first."""
 
     def __init__(self, arms: Sequence[ArmMotion], step: StepSize) -> None:
         """Take over the arms where they are."""
@@ -96,8 +96,8 @@ class PoseController(Controller):
         for k, space in enumerate(spaces):
             # Share memory.
             space.record = self._workspaces[k : k + 1]
-        self._drive = partial(
-            drive_poses, *self.shared, self._workspaces, self._spheres
+        self._run = partial(
+            run_poses, self.team, self._workspaces, self._spheres, self.swings
         )
         self._aim = partial(
             aim_arms,
@@ -139,9 +139,9 @@ class PoseController(Controller):
         assert found is not None
         return found
 
-    def drive(self) -> None:
-        """Advance the references."""
-        self._drive()
+    def run(self, ticks: int) -> None:
+        """Advance the references and the physics by servo ticks."""
+        self._run(ticks)
 
 
 class AxisAnglePoseController(PoseController):
@@ -164,6 +164,8 @@ class WaypointController(PoseController):
     arm would have to fold or would stop.
     """
 
+    swings = True
+
     def _write_target(self, k: int, row: FloatArray) -> None:
         base = self.arms[k].robot.world_from_base
         # Add term by term, so that the last bit does not depend on a library.
@@ -173,11 +175,6 @@ class WaypointController(PoseController):
         w, x, y, z = self._quaternion(row)
         turn = compose(quaternion_from_matrix(base[:3, :3]), (w, x, y, z))
         self._rows[k, 3:7] = turn
-
-    def look(self) -> None:
-        """Update obstacles and choose swing or straight motion, once per servo tick."""
-        super().look()
-        swing_far(self.states, self._workspaces)
 
 
 class Rot6dWaypointController(WaypointController):
@@ -305,19 +302,3 @@ def aim_arms(
             pose,
             goal.posture,
         )
-
-
-@kernel
-def swing_far(states: FloatArray, workspaces: np.ndarray) -> None:
-    """Select joint-space motion for arms whose base has far to turn, else straight.
-
-    Args:
-        states: The references of n arms, (n, 2, 6) [rad, rad/s].
-        workspaces: The records of RMPflow, (n,), each with a posture; their weights are
-            written.
-    """
-    for k in range(states.shape[0]):
-        goal = workspaces[k].goal
-        far = abs(goal.posture[0] - states[k, 0, 0]) > SWING_RAD
-        goal.target_weight = 0.0 if far else 1.0
-        goal.posture_weight = POSTURE_ALONE if far else 1.0

@@ -9,7 +9,6 @@ objects, but gently; the rest of an arm may not touch them.
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,10 @@ from lemma.robots.gripper import FINGER_OPENING_M, TCP_OFFSET_M
 from lemma.robots.ur.kinematics import frames
 from lemma.scene.objects.entity import kind_of
 from lemma.scene.scene import Scene
+
+Guard = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Objects of a scene and their capsules, and what :class:`SafetyFilter` makes of them:
+obstacles and objects for each arm."""
 
 ARM_RANGE_M = 0.15
 """Distance within which RMPflow avoids the other arms, as in skills."""
@@ -55,12 +58,13 @@ class SafetyFilter:
         self.objects = np.zeros((count, 2, len(capsules), ROW))
         """For each arm, capsules of objects: first of those outside its hand, then of
         those in it. The arm's record has the counts."""
-        self.look = partial(
-            _look,
-            *(self.records, owners, capsules, scene.data.qpos),
-            *(self.obstacles, self.objects),
-        )
-        """Reads the present poses of arms and objects."""
+        self.arrays: Guard = (owners, capsules, self.obstacles, self.objects)
+        """Arguments of the kernels."""
+        self._qpos: FloatArray = scene.data.qpos
+
+    def look(self) -> None:
+        """Read the present poses of arms and objects, once in each servo tick."""
+        find_obstacles(self.arrays, self.records, self._qpos)
 
 
 @kernel
@@ -120,14 +124,9 @@ def _shells(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 @kernel
-def _look(
-    records: np.ndarray,
-    owners: FloatArray,
-    capsules: FloatArray,
-    qpos: FloatArray,
-    obstacles: FloatArray,
-    objects: FloatArray,
-) -> None:
+def find_obstacles(guard: Guard, records: np.ndarray, qpos: FloatArray) -> None:
+    """See :meth:`SafetyFilter.look`."""
+    owners, capsules, obstacles, objects = guard
     owners, capsules, qpos = borrowed(owners), borrowed(capsules), borrowed(qpos)
     obstacles, objects = borrowed(obstacles), borrowed(objects)
     for k in range(records.shape[0]):

@@ -85,6 +85,51 @@ def is_near_or_moved(
     return near, moved
 
 
+class ForbiddenContacts:
+    """Robots and objects that must not touch each other; none at first.
+
+    :func:`lemma.scene.coasting.step` looks for their contacts.
+    """
+
+    def __init__(self, owner: NDArray[np.int64], robot: NDArray[np.int64]) -> None:
+        """Number the objects, then the robots, then the room.
+
+        Args:
+            owner: Object of each geom, (ngeom,); negative for others.
+            robot: Robot of each geom, (ngeom,); negative for others.
+        """
+        objects = int(owner.max(initial=-1)) + 1
+        room = objects + int(robot.max(initial=-1)) + 1
+        who = np.where(owner >= 0, owner, np.where(robot >= 0, objects + robot, room))
+        self.who: NDArray[np.int64] = who.astype(np.int64)
+        """Number of each geom, (ngeom,)."""
+        self.bad = np.zeros((room + 1, room + 1), np.bool_)
+        """Which numbers must not touch each other, symmetric; set it in place."""
+        self.first = np.full(2, -1, np.int64)
+        """Numbers of the two that touched first; -1 if none have."""
+
+
+@kernel
+def note_bad(
+    contacts: NDArray[np.int32],
+    who: NDArray[np.int64],
+    bad: NDArray[np.bool_],
+    first: NDArray[np.int64],
+) -> None:
+    """Note the first contact of two that must not touch, unless one is noted already.
+
+    Args:
+        contacts: Both geoms of each contact, (ncon, 2).
+        who: See :class:`ForbiddenContacts`.
+        bad: The same.
+        first: The same; written.
+    """
+    for c in range(len(contacts)):
+        a, b = who[contacts[c, 0]], who[contacts[c, 1]]
+        if bad[a, b] and first[0] < 0:
+            first[0], first[1] = a, b
+
+
 @kernel
 def find_touches(
     contacts: NDArray[np.int32],

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lemma.core.kernels import kernel
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.scene import Scene
 from lemma.tasks.teams.rule import AT_ONCE_S, Pair, Rule, Together
@@ -41,7 +39,7 @@ class RuleWatch:
     """Whether a rule is kept, from the first state of an episode on."""
 
     def __init__(self, scene: Scene, rule: Rule, parts: Mapping[Pair, Part]) -> None:
-        """Watch a scene; call :meth:`note` and :meth:`look` as time passes.
+        """Watch a scene; call :meth:`look` as time passes.
 
         Args:
             scene: The world.
@@ -57,25 +55,18 @@ class RuleWatch:
         self._laid_s: dict[Pair, float] = {}
         objects, robots = scene.coasting.names, scene.spec.robot_names
         self._names = (*objects, *robots, "")
-        owner, arm = scene.coasting.owner, scene.parts[:, 0]
-        who = np.where(owner >= 0, owner, len(self._names) - 1)
-        self._who = np.where(arm >= 0, len(objects) + arm, who).astype(np.int64)
         bad = [[rule.forbids(a, b) for b in self._names] for a in self._names]
-        self._bad = np.array(bad) | np.array(bad).T
-        self._forbids_contacts = bool(self._bad.any())
-
-    def note(self) -> None:
-        """Note who touches whom. Call it after every physics step: a knock is short."""
-        if not self._forbids_contacts or self.broken is not None:
-            return
-        geoms = self._scene.data.contact.geom
-        found = first_bad(geoms, self._who, self._bad)
-        if found >= 0:
-            one, other = sorted(self._names[self._who[geom]] for geom in geoms[found])
-            self.broken = f"The {one} and the {other} touched."
+        scene.forbidden.bad[:] = np.array(bad) | np.array(bad).T
 
     def look(self) -> None:
-        """Look at the present state. Call it once a servo tick."""
+        """Look at the contacts since the last call, and at the present state.
+
+        Call it once a servo tick.
+        """
+        touched = self._scene.forbidden.first.tolist()
+        if touched[0] >= 0 and self.broken is None:
+            one, other = sorted(self._names[number] for number in touched)
+            self.broken = f"The {one} and the {other} touched."
         if not self._parts or self._has_been or self.broken is not None:
             return
         if isinstance(self.rule, Together):
@@ -127,20 +118,4 @@ class RuleWatch:
         """Go back to what was known before."""
         self.broken, self._has_been = state.broken, state.has_been
         self._laid_s = dict(state.laid_s)
-
-
-@kernel
-def first_bad(
-    contacts: NDArray[np.int32], who: NDArray[np.int64], bad: NDArray[np.bool_]
-) -> int:
-    """Return the first contact of two that must not touch; -1 if there is none.
-
-    Args:
-        contacts: The two geoms of each contact, (contacts, 2).
-        who: Number of the robot or object of each geom, (ngeom,).
-        bad: Which numbers must not touch each other, symmetric.
-    """
-    for c in range(len(contacts)):
-        if bad[who[contacts[c, 0]], who[contacts[c, 1]]]:
-            return c
-    return -1
+        self._scene.forbidden.first[:] = -1
