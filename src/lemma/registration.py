@@ -138,6 +138,8 @@ def make(
     config = import_module("lemma.env.config").EnvConfig.from_options(
         {"task": known_task, **options}
     )
+    if acting == "turns" and level != "control":
+        tasks[config.task].check_in_turns()
     module, _, name = (TOGETHER if acting == "together" else LEVELS)[level].partition(
         ":"
     )

@@ -16,12 +16,12 @@ from lemma.env.episode import Episode
 from lemma.env.simulation import Simulation
 from lemma.env.snapshots import Ended
 from lemma.expert.together import solve_together
-from lemma.planning.schedule import predecessors
 from lemma.robots.collision_model import sweep_radius_m
 from lemma.robots.reach import reach_of
 from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.teams.dependencies import predecessors
 
 ALONE = tuple(task for task in SUITE if task not in ("pass2", "stack2"))
 

@@ -74,7 +74,7 @@ def test_times_are_the_planners() -> None:
     assert float(said) == pytest.approx(PLACED * first.duration_s, abs=0.5)
 
 
-@pytest.mark.parametrize("task", ["hook", "lift"])
+@pytest.mark.parametrize("task", ["hook", "lift", "unison"])
 def test_what_is_no_move_of_cubes_is_refused(task: str) -> None:
     with pytest.raises(InvalidConfigError, match="moving cubes alone"):
         exported(task)

@@ -54,7 +54,7 @@ def needs(found: Schedule, job: int) -> tuple[int, ...]:
 def test_the_solver_finds_the_frozen_schedule() -> None:
     module = "lemma.planning.least_makespan"
     solver = pytest.importorskip(module, exc_type=ImportError)
-    for task in ("relay", "tower", "stack2"):
+    for task in ("relay", "tower", "stack2", "unison"):
         found = solver.least_makespan(scheduled(task).jobs)
         assert found is not None
         assert found.makespan_s == scheduled(task).makespan_s

@@ -9,7 +9,7 @@ import numpy as np
 from kept import kept
 from physics_steps import each_step
 
-from lemma.dataset.recipe.record import EpisodeRecorder
+from lemma.dataset.recipe.record import EpisodeRecorder, record_episode
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
 from lemma.evaluation.run.watches import ClearanceWatch
@@ -46,6 +46,7 @@ class Recorded:
 
     instance: Instance
     steps: tuple[ExpertStep, ...]
+    """Empty where all robots acted at once."""
     record: EpisodeRecord
     progress: float
     """Of its stages."""
@@ -150,6 +151,9 @@ def played(task: str) -> Recorded:
 
 
 def _played(instance: Instance, *, watched: bool) -> Recorded:
+    if not instance.goal.in_turns:
+        record = record_episode(instance)
+        return Recorded(instance, (), record, record.progress, 0, Extremes())
     episode = Episode(instance)
     scene = episode.simulation.scene
     expert, keeper, steps = Expert(scene, instance.goal), EpisodeRecorder(episode), []

@@ -130,8 +130,11 @@ def readings(sentence: str, scene: SceneSpec) -> set[Reading]:
         goals = _by_color(table, found[1], found[3], found[2] or "")
         return {(goal, said) for goal in goals for said in rules}
     every: set[Reading] = set()
-    for pairs, ordered in _parts(table, body.removeprefix("Put "), ()):
-        if ordered:
+    plain = body.removesuffix(", both at the same time")
+    for pairs, ordered in _parts(table, plain.removeprefix("Put "), ()):
+        if plain != body:
+            every.add((frozenset(pairs), ("together", *pairs[0], *pairs[1])))
+        elif ordered:
             every.add((frozenset(pairs), ("after", *pairs[-1], *pairs[-2])))
         else:
             every |= {(frozenset(pairs), said) for said in rules}

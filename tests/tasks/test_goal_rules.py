@@ -8,7 +8,6 @@ import pytest
 from lemma.core.errors import InvalidConfigError, UnknownNameError
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.contacts import note_bad
 from lemma.scene.scene import Scene
@@ -16,9 +15,19 @@ from lemma.tasks.goal import Goal, On
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import parse, robot_phrases, rule_templates
 from lemma.tasks.language.template import KINDS, MAX_CHARACTERS
-from lemma.tasks.suite import load_instance
-from lemma.tasks.teams.rule import RULES, After, But, Rule, Without, rule_from
+from lemma.tasks.suite import TASKS, load_instance
+from lemma.tasks.teams.dependencies import predecessors
+from lemma.tasks.teams.rule import (
+    RULES,
+    After,
+    But,
+    Rule,
+    Together,
+    Without,
+    rule_from,
+)
 
+OF_EXCHANGE = TASKS["exchange"].rules
 TESTS = [load_instance("exchange", "test", index) for index in range(60)]
 PAIRS = (("red_cube", "red_pad"), ("blue_cube", "blue_pad"))
 
@@ -47,14 +56,16 @@ def test_a_rule_is_data_of_the_instance_and_others_have_none() -> None:
         assert Instance.from_dict(one.to_dict()) == one
         assert rule_from(one.to_dict()["rule"]) == one.goal.rule
     assert "rule" not in load_instance("tower", "test", 0).to_dict()
-    assert {one.goal.rule.kind for one in TESTS if one.goal.rule} == {*RULES}
+    assert {one.goal.rule.kind for one in TESTS if one.goal.rule} == {*OF_EXCHANGE}
+    assert {kind for name in TASKS for kind in TASKS[name].rules} == {*RULES}
 
 
 def test_a_rule_that_fits_nothing_is_refused() -> None:
     with pytest.raises(UnknownNameError):
-        rule_from(["together", "red_cube"])
-    with pytest.raises(InvalidConfigError):
-        rule_from(["but"])
+        rule_from(["never", "red_cube"])
+    for few in (["but"], ["together", "red_cube"]):
+        with pytest.raises(InvalidConfigError):
+            rule_from(few)
     with pytest.raises(InvalidConfigError):
         Goal.from_pairs(PAIRS, After("red_cube", "blue_pad", *PAIRS[1]))
     absent = {**TESTS[0].to_dict(), "rule": ["without", "robot_7"]}
@@ -80,7 +91,7 @@ def test_a_sentence_says_one_rule(kind: str) -> None:
         assert meant == {one.goal.rule}
 
 
-@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("kind", OF_EXCHANGE)
 def test_the_planner_keeps_the_rule_and_would_not_have_to(kind: str) -> None:
     free, tables = 0, of_kind(kind)[: 8 if kind == "after" else 3]
     for one in tables:
@@ -126,6 +137,24 @@ def test_nothing_but_the_sentence_tells_who_must_not_act() -> None:
         assert one.goal.rule.robot in alike
         first += alike.index(one.goal.rule.robot)
     assert 0.2 < first / len(found) < 0.8
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_sentence_says_that_two_things_are_done_at_the_same_time(kind: str) -> None:
+    """It names both cubes, and no other sentence of the same goal ends like it."""
+    for index in range(6):
+        one = load_instance("unison", "test", index)
+        rule, sentence = one.goal.rule, one.instructions[kind]
+        assert isinstance(rule, Together)
+        assert rule.pairs == one.goal.pairs
+        endings = [
+            text.removeprefix("{goal} ").format(**rule.words(()))
+            for text in rule_templates(rule.kind, kind)
+        ]
+        assert len([end for end in endings if sentence.endswith(end)]) == 1
+        assert len(sentence) <= MAX_CHARACTERS
+        assert parse(sentence) is None
+        assert Instance.from_dict(one.to_dict()) == one
 
 
 def test_the_first_forbidden_contact_is_found_as_by_numpy() -> None:

@@ -149,14 +149,16 @@ def measure_together(instances: Iterable[Instance], turns: int = 3) -> Figures:
 
     Returns:
         Success rates, and means over the instances that were solved in turns and
-        together; ``lemma bench`` describes them.
+        together; ``lemma bench`` describes them. Where robots cannot act in turns,
+        there is nothing to compare with.
     """
     instances = list(instances)
     solved, both, waited, retreats, deadlocks, least_m = 0, [], [], 0, 0, np.inf
     for instance in instances:
         alone, episode = Episode(instance), Episode(instance)
         watch = ClearanceWatch(episode.simulation)
-        for _ in solve(alone):
+        in_turns = instance.goal.in_turns
+        for _ in solve(alone) if in_turns else ():
             pass
         for _ in solve_together(episode):
             pass
@@ -164,17 +166,20 @@ def measure_together(instances: Iterable[Instance], turns: int = 3) -> Figures:
         solved += episode.is_success
         retreats, deadlocks = retreats + times.retreats, deadlocks + times.deadlocks
         least_m = min(least_m, watch.least_m)
-        if alone.is_success and episode.is_success:
-            both.append((alone.elapsed_s, episode.elapsed_s))
+        if episode.is_success and (alone.is_success or not in_turns):
+            both.append((alone.elapsed_s if in_turns else 0.0, episode.elapsed_s))
             waited.append(ordered_sum(times.waited_s.values()))
     count = max(1, len(both))
     before, after = (ordered_sum(times) for times in zip(*both, strict=True))
     _, loop_s, bare_s = median_times_s(instances[0], turns, solve_together)
+    turns_s = {
+        "sequential_s": before / count,
+        "makespan_ratio": after / (before or 1.0),
+    }
     return {
         "success_rate": solved / len(instances),
-        "sequential_s": before / count,
+        **(turns_s if before > 0.0 else {}),
         "makespan_s": after / count,
-        "makespan_ratio": after / before,
         "waited_s": ordered_sum(waited) / count,
         "retreats": float(retreats),
         "deadlocks": float(deadlocks),

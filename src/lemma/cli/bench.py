@@ -280,7 +280,8 @@ def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int
         return 0
     for name, figures in found.items():
         title = f"{name}, first {episodes} of split {_SPLIT!r}"
-        print_figures(figures, _TOGETHER_TARGETS, title)
+        forms = {n: form for n, form in _TOGETHER_TARGETS.items() if n in figures}
+        print_figures(figures, forms, title)
     return 0
 
 

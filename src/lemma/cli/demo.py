@@ -77,7 +77,7 @@ def demo(
             f"--acting together needs the expert, --policy {ORACLE}; other policies "
             "take turns here."
         )
-    instances = [select_instance(name, which) for name in names]
+    instances = [_choose(name, which, acting) for name in names]
     if not no_video:
         out.mkdir(parents=True, exist_ok=True)
     console = messages() if as_json else output()
@@ -100,6 +100,18 @@ def demo(
     if as_json:
         print_json([recording.to_dict() for recording in recordings])
     return 0 if all(recording.success for recording in recordings) else 1
+
+
+def _choose(task: str | None, which: SelectionOptions, acting: str) -> Instance:
+    """Return the instance of a task.
+
+    Raises:
+        InvalidConfigError: Its goal cannot be reached as robots shall act.
+    """
+    instance = select_instance(task, which)
+    if acting == "turns":
+        instance.goal.check_in_turns()
+    return instance
 
 
 def _listen(

@@ -63,7 +63,11 @@ class Expert:
         """Return the next sub-task and its poses.
 
         If the goal holds or there is no plan, the result is ``STOP`` and None.
+
+        Raises:
+            InvalidConfigError: Robots that act in turns cannot reach the goal.
         """
+        self._goal.check_in_turns()
         now = SymbolicState.observe(self._scene)
         if self._expected is not None and not _agree(now, self._expected):
             self._queue = []

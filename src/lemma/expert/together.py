@@ -4,7 +4,8 @@ The plan is that of :mod:`lemma.expert.expert`, or the order of a schedule. Each
 begins the first of its sub-tasks whose dependencies are satisfied: every earlier
 sub-task with a common object has had its effect, and the arm that did it is on its way
 home. A sub-task is grounded when it begins, in the predicted state after all running
-sub-tasks.
+sub-tasks. Where the goal's rule wants two sub-tasks to end together, the shorter one
+begins later (:mod:`lemma.expert.timing`).
 """
 
 import math
@@ -14,17 +15,24 @@ from lemma.env.episode import Episode
 from lemma.env.team.orders import LOOK_S, Team
 from lemma.env.team.records import Done
 from lemma.expert.expert import ExpertStep
+from lemma.expert.timing import Aim
 from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.planner import find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 _MOST_PLANS = 4
+Watcher = Callable[[SubTask], None]
+"""Called with each sub-task when it begins."""
+
+
+def unwatched(subtask: SubTask) -> None:
+    """Do nothing: the default watcher."""
 
 
 def solve_together(
-    episode: Episode, order: Sequence[SubTask] = ()
+    episode: Episode, order: Sequence[SubTask] = (), watcher: Watcher = unwatched
 ) -> Iterator[ExpertStep]:
     """Solve an episode with all robots at once; yield every sub-task that ended.
 
@@ -34,6 +42,7 @@ def solve_together(
     Args:
         episode: The episode in progress.
         order: The first plan, such as ``Schedule.steps``; if empty, the planner's.
+        watcher: Called with each sub-task when it begins.
     """
     grounder = GeometricGrounder(episode.instance.scene)
     for _ in range(_MOST_PLANS):
@@ -48,14 +57,17 @@ def solve_together(
             order = () if plan is None else plan.subtasks
         if not order:
             break
-        yield from carry_out(episode, order, grounder)
+        yield from carry_out(episode, order, grounder, watcher)
         order = ()
     if not episode.is_over:
         episode.stop()
 
 
 def carry_out(
-    episode: Episode, steps: Sequence[SubTask], grounder: GeometricGrounder
+    episode: Episode,
+    steps: Sequence[SubTask],
+    grounder: GeometricGrounder,
+    watcher: Watcher = unwatched,
 ) -> Iterator[ExpertStep]:
     """Execute a plan with all robots at once; yield every sub-task that ended.
 
@@ -65,8 +77,9 @@ def carry_out(
         episode: The episode in progress.
         steps: The plan, in an order in which sequential execution is possible.
         grounder: Grounder of the same scene.
+        watcher: Called with each sub-task when it begins.
     """
-    work = TeamWork(Team(episode, grounder), steps)
+    work = TeamWork(Team(episode, grounder), steps, watcher=watcher)
     while True:
         work.begin_ready()
         if not work.team.orders:
@@ -83,7 +96,12 @@ class TeamWork:
     """Execution of a plan: each robot begins its next sub-task as soon as possible."""
 
     def __init__(
-        self, team: Team, steps: Sequence[SubTask], *, patient: bool = False
+        self,
+        team: Team,
+        steps: Sequence[SubTask],
+        *,
+        patient: bool = False,
+        watcher: Watcher = unwatched,
     ) -> None:
         """Start the execution of a plan.
 
@@ -93,8 +111,10 @@ class TeamWork:
             patient: Whether a sub-task that cannot be grounded is tried again while
                 other robots are busy, for example because its object is still below
                 another one.
+            watcher: Called with each sub-task when it begins.
         """
         self.team, self.failed, self._patient = team, False, patient
+        self._watcher = watcher
         running = [(name, order.subtask) for name, order in team.orders.items()]
         before = [subtask for _, subtask in running if subtask is not None]
         self._steps = (*before, *steps)
@@ -105,6 +125,7 @@ class TeamWork:
         names = [name for name, subtask in running if subtask is not None]
         self._numbers = {name: number for number, name in enumerate(names)}
         self._done = set[int]()
+        self._aim = Aim(team, self._steps, self._needs)
 
     @property
     def todo(self) -> tuple[SubTask, ...]:
@@ -129,11 +150,15 @@ class TeamWork:
         have = self._done | {
             self._numbers[robot] for robot in settled if robot in self._numbers
         }
+        begun = {k: team.orders[robot].start_s for robot, k in self._numbers.items()}
+        now_s = episode.simulation.time_s
         for robot in () if self.failed or episode.is_over else team.grounder.robots:
             mine = [k for k in self._todo if self._steps[k].robot == robot]
             mine = [k for k in mine if may(self._steps[k])]
             k = next((k for k in mine if self._needs[k].keys() <= have), None)
             if team.works_on(robot) or k is None or self.failed:
+                continue
+            if not self._aim.is_due(k, now_s, begun, have):
                 continue
             expected = team.expected(now, settled)
             option = team.grounder.ground(self._steps[k], expected)
@@ -145,6 +170,7 @@ class TeamWork:
             self._todo.remove(k)
             self._numbers[robot] = k
             team.begin(option, expected)
+            self._watcher(self._steps[k])
         self.failed |= lost and not team.orders
 
     def pass_time(self, until_s: float) -> list[Done]:

@@ -34,6 +34,8 @@ def least_makespan(jobs: Sequence[Job], limit_s: float = 10.0) -> Schedule | Non
     for m, job in enumerate(jobs):
         for k, why in job.needs.items():
             model.add(at[m][0 if why == "pick" else 1] >= at[k][2])
+        if job.meets is not None:
+            model.add(at[m][2] == at[job.meets][2])
     options = [
         (job, robot, here)
         for job, chosen in zip(jobs, who, strict=True)

@@ -22,10 +22,9 @@ from lemma.planning.grounding import GeometricGrounder
 from lemma.planning.lines import Line, are_near
 from lemma.planning.planner import Plan, utility
 from lemma.planning.symbolic_state import SymbolicState
-from lemma.scene.objects.entity import kind_of
 from lemma.tasks.goal import Goal
-from lemma.tasks.subtask import Primitive, SubTask
-from lemma.tasks.teams.rule import Rule
+from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.dependencies import meetings, predecessors
 
 PICKED = 0.41
 """Fraction of its duration after which a sub-task has picked; mean of 38 executions."""
@@ -59,6 +58,8 @@ class Job:
     lines: Mapping[str, tuple[Line, Line]]
     """Lines from base to gripper by robot, as it picks and as it places [m]. Those of a
     partner as well."""
+    meets: int | None = None
+    """The sub-task that has its effect at the same time, if the rule says so."""
 
     def team(self, robot: str) -> tuple[str, ...]:
         """Return the robots that are busy if a robot does it: it, and its partner."""
@@ -153,6 +154,7 @@ class Schedule:
                         robot: job.times(robot)[3] / CS for robot in job.options
                     },
                     "needs": {str(i): why for i, why in job.needs.items()},
+                    **({} if job.meets is None else {"meets": job.meets}),
                     "excludes": [
                         [i, k, other]
                         for k in range(m)
@@ -183,7 +185,7 @@ class Schedule:
         """Return the sub-tasks on a critical path, first to last.
 
         Each one waits for the one before it, because of the same robot, a dependency,
-        or an exclusion.
+        an exclusion, or a common time of their effects.
         """
         if not self.jobs:
             return ()
@@ -208,17 +210,12 @@ class Schedule:
         follows = same and self.at(k, 3) == self.starts[m]
         stage = {"pick": 0, "place": 1}.get(job.needs.get(k, ""))
         needed = stage is not None and self.at(k, 2) == self.at(m, stage)
-        return (
-            follows
-            or needed
-            or (
-                not same
-                and any(
-                    came == left and are_near(line, other)
-                    for came, _, line in self.stays(m)
-                    for _, left, other in self.stays(k)
-                )
-            )
+        if follows or needed or job.meets == k:
+            return True
+        return not same and any(
+            came == left and are_near(line, other)
+            for came, _, line in self.stays(m)
+            for _, left, other in self.stays(k)
         )
 
     def stays(self, job: int) -> list[Stay]:
@@ -240,6 +237,9 @@ class Schedule:
             for k, why in self.jobs[m].needs.items():
                 if self.at(m, 0 if why == "pick" else 1) < self.at(k, 2):
                     found.append(f"{m} does not wait for {k}")
+            meets = self.jobs[m].meets
+            if meets is not None and self.at(m, 2) != self.at(meets, 2):
+                found.append(f"{m} does not have its effect together with {meets}")
             for k in range(m):
                 same = self.share(k, m)
                 if same and _meet(*(self.at(i, e) for i in (k, m) for e in (0, 3))):
@@ -259,46 +259,6 @@ def _meet(a: int, b: int, c: int, d: int) -> bool:
     return a < d and c < b
 
 
-def predecessors(
-    steps: Sequence[SubTask], regions: Sequence[str], rule: Rule | None = None
-) -> tuple[dict[int, str], ...]:
-    """Return for each sub-task of a plan the earlier ones that it depends on.
-
-    Args:
-        steps: The plan.
-        regions: Names of the regions, which have room for several objects.
-        rule: The rule of the goal.
-
-    Returns:
-        For each sub-task, the indices of earlier ones with the kind of dependency:
-        ``"pick"`` if they touch or put down an object that it picks or drags;
-        ``"place"`` if they only handle the support of its object, or if the rule
-        requires their effect before its own.
-    """
-    found = []
-    for j, step in enumerate(steps):
-        needs: dict[int, str] = {}
-        for i, earlier in enumerate(steps[:j]):
-            things = {earlier.pick, earlier.place} - set(regions)
-            if step.pick in things:
-                needs[i] = "pick"
-            elif step.place in things:
-                needs[i] = "place" if step.primitive is Primitive.MOVE else "pick"
-            elif rule is not None and rule.orders(earlier, step):
-                needs[i] = "place"
-            elif _lays_across(step, regions) and kind_of(earlier.pick).cargo:
-                # Any thing may be its second support.
-                needs[i] = "place"
-        found.append(needs)
-    return tuple(found)
-
-
-def _lays_across(step: SubTask, regions: Sequence[str]) -> bool:
-    """Whether a sub-task lays a plank on two things."""
-    moves = step.primitive is Primitive.MOVE and step.place not in regions
-    return moves and kind_of(step.pick).span_m is not None
-
-
 def pose_jobs(
     now: SymbolicState, plan: Plan, goal: Goal, grounder: GeometricGrounder
 ) -> tuple[Job, ...]:
@@ -312,7 +272,8 @@ def pose_jobs(
     """
     names, jobs = tuple(grounder.robots), []
     needs = predecessors(plan.subtasks, tuple(now.spec.regions), goal.rule)
-    for step, needed in zip(plan.steps, needs, strict=True):
+    meets = meetings(plan.subtasks, goal.rule)
+    for k, (step, needed) in enumerate(zip(plan.steps, needs, strict=True)):
         options = {}
         for robot in names:
             given = replace(step.subtask, robot=robot)
@@ -329,7 +290,8 @@ def pose_jobs(
                     base = grounder.robots[one.robot].base
                     lines[one.robot] = ((base, one.pick), (base, one.place))
         worth = {robot: utility(of, now, goal) for robot, of in options.items()}
-        jobs.append(Job(step.subtask, options, worth, needed, lines))
+        met = meets.get(k)
+        jobs.append(Job(step.subtask, options, worth, needed, lines, met))
         now = step.after
     return tuple(jobs)
 
@@ -350,29 +312,63 @@ def in_order(
         is_optimal: Whether the result is proven to be of least makespan.
     """
     who = tuple(robots or (job.subtask.robot for job in jobs))
-    starts = [-1] * len(jobs)
-    schedule = Schedule(tuple(jobs), who, tuple(starts), is_optimal)
+    schedule = Schedule(tuple(jobs), who, (-1,) * len(jobs), is_optimal)
     placed: list[int] = []
     for m in order:
-        times, first = jobs[m].times(who[m]), 0
-        for k, why in jobs[m].needs.items():
-            first = max(first, schedule.at(k, 2) - times[0 if why == "pick" else 1])
-        shared = [k for k in placed if schedule.share(k, m)]
-        first = max([first, *(schedule.at(k, 3) for k in shared)])
-        lines = [jobs[m].lines[robot] for robot in jobs[m].team(who[m])]
-        others = [
-            (i, entered, left)
-            for k in placed
-            if k not in shared
-            for entered, left, line in schedule.stays(k)
-            for i in _STAGES
-            if any(are_near(mine[i], line) for mine in lines)
-        ]
-        first = _after_others(times, first, others)
-        starts[m] = first
-        schedule = replace(schedule, starts=tuple(starts))
-        placed.append(m)
+        other = jobs[m].meets
+        group = [m] if other is None else [other, m]
+        # Two that have their effects together are placed where the second one stands.
+        if other is None or order.index(other) < order.index(m):
+            schedule = _place(schedule, placed, group)
+            placed += group
     return schedule
+
+
+def _place(schedule: Schedule, placed: Sequence[int], group: list[int]) -> Schedule:
+    """Let a sub-task, or two that have their effects together, begin early.
+
+    Two that exclude each other never have; :meth:`Schedule.faults` tells.
+    """
+    effect = 0
+    while True:
+        found, there = schedule, [*placed]
+        for k in group:
+            starts = [*found.starts]
+            starts[k] = _earliest(found, k, there, effect)
+            found = replace(found, starts=tuple(starts))
+            there.append(k)
+        effects = [found.at(k, 2) for k in group]
+        effect = max(effects)
+        if min(effects) == effect or effect > CS * HORIZON_S:
+            return found
+
+
+def _earliest(schedule: Schedule, m: int, placed: Sequence[int], effect: int) -> int:
+    """Return when a sub-task can begin at the earliest [1/100 s].
+
+    Args:
+        schedule: The start times of the placed sub-tasks.
+        m: Index of the sub-task.
+        placed: Indices of the placed sub-tasks.
+        effect: Earliest time of its effect [1/100 s].
+    """
+    job, robot = schedule.jobs[m], schedule.robots[m]
+    times = job.times(robot)
+    first = max(0, effect - times[2])
+    for k, why in job.needs.items():
+        first = max(first, schedule.at(k, 2) - times[0 if why == "pick" else 1])
+    shared = [k for k in placed if schedule.share(k, m)]
+    first = max([first, *(schedule.at(k, 3) for k in shared)])
+    lines = [job.lines[name] for name in job.team(robot)]
+    others = [
+        (i, entered, left)
+        for k in placed
+        if k not in shared
+        for entered, left, line in schedule.stays(k)
+        for i in _STAGES
+        if any(are_near(mine[i], line) for mine in lines)
+    ]
+    return _after_others(times, first, others)
 
 
 def _after_others(

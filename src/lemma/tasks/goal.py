@@ -41,6 +41,11 @@ OVER_M = 0.03
 """Largest horizontal distance of a gripper over an object from its centre [m]."""
 HOVER_M = 0.10
 """Largest height of such a gripper above the top of the object [m]."""
+NOT_IN_TURNS = (
+    "{what} wants two things to be done at the same time, so robots cannot do it in "
+    'turns. Let them act together: --acting together, or acting="together".'
+)
+"""Message about goals that are not reached in turns."""
 _STEEP = math.cos(math.radians(30.0))
 """Smallest vertical component of the normal of a contact that supports an object."""
 
@@ -256,6 +261,20 @@ class Goal:
     def held(self) -> frozenset[str]:
         """Names of the objects that grippers must hold."""
         return frozenset(on.top for on in self.conjuncts if on.bottom == HAND)
+
+    @property
+    def in_turns(self) -> bool:
+        """Whether robots that act in turns can reach it; see :attr:`.Rule.in_turns`."""
+        return self.rule is None or self.rule.in_turns
+
+    def check_in_turns(self) -> None:
+        """Check that robots that act in turns can reach it.
+
+        Raises:
+            InvalidConfigError: They cannot; the message says what to do.
+        """
+        if not self.in_turns:
+            raise InvalidConfigError(NOT_IN_TURNS.format(what="This goal"))
 
     def permits(self, subtask: SubTask, has: Has) -> bool:
         """Return whether the rule permits a sub-task; see :meth:`.Rule.permits`."""

@@ -43,6 +43,7 @@ FAMILIES = (
     "bridge",
     "carry",
     "give",
+    "unison",
 )
 """The families of the suite ``teams``, for two to four robots."""
 SUITES = {"lemma": SUITE, "ladder": LADDER, "teams": FAMILIES}

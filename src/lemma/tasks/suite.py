@@ -12,7 +12,14 @@ from lemma.tasks.instance import LARGEST_INDEX, SPLITS, Instance, splits_of
 from lemma.tasks.names import LADDER, LISTED, SUITE, SUITES
 from lemma.tasks.sampling import sample
 from lemma.tasks.task import TASKS
-from lemma.tasks.teams import bridge, carry, families, give, strong  # noqa: F401 - adds tasks
+from lemma.tasks.teams import (  # noqa: F401 - adds tasks
+    bridge,
+    carry,
+    families,
+    give,
+    strong,
+    unison,
+)
 from lemma.tasks.teams.pairs import PAIR_TASK, PAIRS, instance_of_pair
 
 __all__ = [

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 
 from gymnasium.envs import registration
 
+from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError
 from lemma.core.registry import Registry, check_fields
 from lemma.robots.hand import HANDS, STANDARD
-from lemma.tasks.goal import Goal
+from lemma.tasks.goal import NOT_IN_TURNS, Goal
 from lemma.tasks.language.bank import add_bank
 from lemma.tasks.language.template import LanguageBank
 from lemma.tasks.names import gym_id
 from lemma.tasks.placement import ObjectPlacer
 from lemma.tasks.teams.layouts import LAYOUTS
+from lemma.tasks.teams.rule import RULES
 
 TEAMS: tuple[tuple[str, ...], ...] = (
     ("ur5", "ur5"),
@@ -32,6 +34,7 @@ class Task:
 
     Raises:
         InvalidConfigError: A field has a wrong type or value.
+        UnknownNameError: No such layout, hand or kind of rule.
     """
 
     name: str
@@ -100,6 +103,8 @@ class Task:
             )
         for hand in self.hands:
             HANDS[hand]
+        for kind in self.rules:
+            known("kind of rule", kind, RULES)
 
     def hands_of(self, order: Sequence[int]) -> list[str]:
         """Return the hands of the robots by number.
@@ -109,6 +114,20 @@ class Task:
         """
         hands = self.hands or (STANDARD,) * len(order)
         return [hands[order.index(robot)] for robot in range(len(order))]
+
+    @property
+    def in_turns(self) -> bool:
+        """Whether robots that act in turns can solve it; see :attr:`.Rule.in_turns`."""
+        return all(RULES[kind].in_turns for kind in self.rules)
+
+    def check_in_turns(self) -> None:
+        """Check that robots that act in turns can solve it.
+
+        Raises:
+            InvalidConfigError: They cannot; the message says what to do.
+        """
+        if not self.in_turns:
+            raise InvalidConfigError(NOT_IN_TURNS.format(what=f"Task {self.name!r}"))
 
     @property
     def gym_id(self) -> str:

@@ -11,10 +11,10 @@ from enum import StrEnum
 from html import escape
 from itertools import count
 
-from lemma.planning.schedule import predecessors
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases
 from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.dependencies import predecessors
 from lemma.viz.annotate import ROBOT_INK
 from lemma.viz.recording import Line, Recording
 

@@ -9,6 +9,7 @@ from lemma.audit.control_trial import control_config
 from lemma.audit.run import Found
 from lemma.core.errors import InvalidConfigError
 from lemma.dataset.playback import MotorCommands, Step, play_steps
+from lemma.dataset.recipe.replay import play_record
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import LED, Commanded, Teleoperation, is_same, perform
 from lemma.env.episode import Episode, EpisodeSnapshot
@@ -97,8 +98,12 @@ def replay_record(record: EpisodeRecord) -> Recording:
     """Execute the sub-tasks of an episode of a recipe."""
     episode = Episode(Instance.from_dict(record.instance_data()))
     recorder = Recorder(episode)
-    play_steps(episode, [step.grounded for step in record.subtasks])
-    for step, done in zip(record.subtasks, episode.executed, strict=False):
+    play_record(episode, record)
+    # Robots that act together end in another order than they begin.
+    executed = {(each.grounded.robot, each.start_s): each for each in episode.executed}
+    for step in record.subtasks:
+        if (done := executed.get((step.robot, step.start_s))) is None:
+            continue
         names = step.robot, Primitive(step.primitive), step.pick, step.place
         line = line_of(step.instruction, step.start_s, done.result, SubTask(*names))
         recorder.add(line)

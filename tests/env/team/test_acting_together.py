@@ -133,6 +133,37 @@ def test_nobody_ordered_lets_a_second_pass_and_every_episode_ends() -> None:
     assert durations == pytest.approx([1.0, 1.0, 0.5], abs=0.02)
 
 
+@pytest.mark.slow
+def test_a_robot_that_is_left_out_lays_its_cube_down_with_another() -> None:
+    """Where the goal is about times, a decision is due every second."""
+    env = team_env("unison")
+    pairs, steps = env.instance.goal.pairs, plan_of("unison")
+    before = next(one for one in steps if (one.pick, one.place) not in pairs)
+    after = next(one for one in steps if one.pick == before.pick and one != before)
+    (alone,) = set(steps) - {before, after}
+    *_, info = env.step(env.encode(before, after))
+    while info["waits_for"].get(after.robot) == (before.robot,):
+        assert alone.robot in info["free"]
+        assert 0.0 < info["duration_s"] <= 1.01
+        *_, info = env.step({})
+    *_, info = env.step(env.encode(alone))
+    while info["doing"]:
+        *_, info = env.step({})
+    _, reward, *_, info = env.step(env.encode(STOP))
+    assert reward == 1.0
+    assert info["rule"]["has_been"]
+
+
+@pytest.mark.parametrize("level", ["plan", "skill"])
+def test_what_is_done_at_the_same_time_is_not_done_in_turns(level: str) -> None:
+    with pytest.raises(InvalidConfigError, match="cannot do it in turns"):
+        lemma.make("unison", level=level)
+    episode = lemma.Episode(load_instance("unison", "test", 0))
+    with pytest.raises(InvalidConfigError, match="Let them act together"):
+        list(lemma.solve(episode))
+    assert episode.elapsed_s == 0.0
+
+
 def test_poses_alone_are_an_order_that_begins_at_once() -> None:
     env = lemma.make("stack2", level="skill", acting="together", split="test", index=0)
     env.reset()

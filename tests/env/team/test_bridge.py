@@ -18,7 +18,6 @@ from lemma.planning.grounding import (
     ground_or_refuse,
 )
 from lemma.planning.pddl import to_pddl
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.pad import PAD_THICKNESS_M
@@ -34,6 +33,7 @@ from lemma.tasks.language.template import Template
 from lemma.tasks.subtask import Primitive, SubTask
 from lemma.tasks.suite import load_instance
 from lemma.tasks.teams.coalitions import needed
+from lemma.tasks.teams.dependencies import predecessors
 from lemma.tasks.zones import Territory
 
 PRESS = 1e-5

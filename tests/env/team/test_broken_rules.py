@@ -1,6 +1,9 @@
 """Attacks on rules: whatever happens, contacts and poses judge, at every level."""
 
+from itertools import product
+
 import pytest
+from tiers import slow_but
 
 import lemma
 from lemma.core.poses import Pose
@@ -14,7 +17,7 @@ from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import Instance
 from lemma.tasks.suite import load_instance
-from lemma.tasks.teams.rule import After, But, Without
+from lemma.tasks.teams.rule import AT_ONCE_S, After, But, Without
 
 LYING_M = CUBE_EDGE_M / 2
 
@@ -169,6 +172,68 @@ def test_who_takes_every_cube_touches_that_one() -> None:
     asked = Goal.from_pairs((*episode.instance.goal.pairs, (rule.thing, pad)))
     list(solve(episode, Expert(episode.simulation.scene, asked)))
     assert fails(episode)
+
+
+# --- At the same time --------------------------------------------------------------
+
+
+EARLY_S, LATE_S = AT_ONCE_S - 0.1, AT_ONCE_S + 0.2
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "first"),
+    slow_but(product((EARLY_S, LATE_S), (0, 1)), (EARLY_S, 0), (LATE_S, 1)),
+)
+def test_who_lies_there_first_waits_for_two_seconds(apart_s: float, first: int) -> None:
+    """Whichever of the two it is; the whole goal is no help afterwards."""
+    episode = Episode(load_instance("unison", "val", 0))
+    pairs = episode.instance.goal.pairs
+    put_on(episode, *pairs[first])
+    episode.simulation.rest(apart_s)
+    put_on(episode, *pairs[1 - first])
+    episode.simulation.rest(0.5)
+    assert episode.goal_progress == 1.0
+    assert (episode.broken is None) == (apart_s < AT_ONCE_S)
+    laid_s = [t for t in episode.info()["rule"]["laid_s"] if t is not None]
+    assert len(laid_s) == (2 if apart_s < AT_ONCE_S else 1)
+    assert fails(episode) == (apart_s > AT_ONCE_S)
+
+
+@pytest.mark.slow
+def test_a_cube_in_a_hand_has_not_been_laid_down() -> None:
+    """A cube that is pressed on its pad counts when the hand lets go of it."""
+    episode = Episode(load_instance("unison", "val", 0))
+    scene, opened_s = episode.simulation.scene, dict[str, float]()
+
+    def look() -> None:
+        for top, _ in episode.instance.goal.pairs:
+            if top in episode.simulation.held().values():
+                opened_s[top] = scene.time_s
+
+    episode.simulation.observers.append(look)
+    for _ in solve_together(episode):
+        pass
+    assert episode.is_success
+    laid_s = episode.info()["rule"]["laid_s"]
+    for (top, _), time_s in zip(episode.instance.goal.pairs, laid_s, strict=True):
+        assert 0.0 < time_s - opened_s[top] < 0.5
+
+
+@pytest.mark.slow
+def test_a_pair_once_together_may_be_moved() -> None:
+    episode = Episode(load_instance("unison", "val", 0))
+    one, other = episode.instance.goal.pairs
+    x, y, z = episode.simulation.scene.position(one[0])
+    put_on(episode, *one)
+    put_on(episode, *other)
+    episode.simulation.rest(0.3)
+    kept = episode.snapshot()
+    put(episode, one[0], x, y, z)
+    episode.simulation.rest(2 * AT_ONCE_S)
+    assert episode.info()["rule"]["has_been"]
+    assert episode.broken is None
+    episode.restore(kept)
+    assert episode.info()["rule"]["has_been"]
 
 
 # --- At every level, and in its midst ----------------------------------------------

@@ -59,7 +59,7 @@ from lemma.dataset.recipe.record import (
 from lemma.dataset.recipe.schema import EpisodeRecord, describe, from_table, to_table
 from lemma.expert.disturbances import Perturbation
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS, splits_of
-from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split, load_instance
+from lemma.tasks.suite import FREE_SPLIT, SUITE, TASKS, check_split, load_instance
 
 _SHOWN = 5
 """Number of failures that a message lists."""
@@ -95,6 +95,9 @@ class GenerateConfig:
             raise InvalidConfigError(
                 f"Episodes per task and split are at least 1, not {self.episodes}."
             )
+        if self.perturb is not None:
+            for task in self.tasks:
+                TASKS[task].check_in_turns()
         if self.episodes is None and FREE_SPLIT in self.splits:
             raise InvalidConfigError(
                 f"Split {FREE_SPLIT!r} is sampled without limit. Give the number of "

@@ -1,12 +1,15 @@
 """Recording of the expert's episodes with keyframes.
 
+Robots act in turns, unless the goal cannot be reached so. Then sub-tasks are recorded
+in the order in which they begin, each with a keyframe of that moment.
+
 For recovery states the execution is perturbed. The record then has the executed
 sub-tasks, which replays use and policies get as their past, and the expert's decisions,
 which are the labels.
 """
 
 import json
-from typing import Any
+from typing import Any, NamedTuple
 
 from lemma.core.poses import Pose2
 from lemma.core.seeding import stream
@@ -21,6 +24,7 @@ from lemma.dataset.recipe.schema import (
 from lemma.env.episode import Episode
 from lemma.expert.disturbances import NONE, Mistake, Perturbation, Perturber
 from lemma.expert.expert import Expert, ExpertStep, solve
+from lemma.expert.together import solve_together
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import robot_phrases, sub_instruction
@@ -41,10 +45,38 @@ def record_episode(instance: Instance) -> EpisodeRecord:
     """
     episode = Episode(instance)
     keeper = EpisodeRecorder(episode)
+    if not instance.goal.in_turns:
+        return _record_together(episode, keeper)
     keeper.keep()
     for step in solve(episode):
         keeper.keep(step)
     return EpisodeRecord(**keeper.columns())
+
+
+def _record_together(episode: Episode, keeper: "EpisodeRecorder") -> EpisodeRecord:
+    """Let the expert solve an episode with all robots at once."""
+    begun: list[tuple[str, float]] = []
+    ended: dict[tuple[str, float], ExpertStep] = {}
+
+    def note(subtask: SubTask) -> None:
+        begun.append((subtask.robot, episode.elapsed_s))
+        keeper.frames.append(keeper.frame())
+
+    last = keeper.frame()
+    for step in solve_together(episode, watcher=note):
+        ended[step.subtask.robot, step.start_s] = step
+        last = keeper.frame()
+    keeper.frames.append(last)
+    keeper.steps += [ended[each] for each in begun]
+    return EpisodeRecord(**keeper.columns())
+
+
+class Keyframe(NamedTuple):
+    """A state of an episode."""
+
+    time_s: float
+    state: bytes
+    sha256: str
 
 
 class EpisodeRecorder:
@@ -57,28 +89,21 @@ class EpisodeRecorder:
             episode: The episode, in its initial state.
         """
         self._episode = episode
-        self._times: list[float] = []
-        self._states: list[bytes] = []
-        self._hashes: list[str] = []
-        self._rows: list[SubTaskRecord] = []
+        self.frames: list[Keyframe] = []
+        """One before each sub-task, and one at the end."""
+        self.steps: list[ExpertStep] = []
+        """The sub-tasks, in the order in which they began."""
+
+    def frame(self) -> Keyframe:
+        """Return the present state."""
+        scene = self._episode.simulation.scene
+        state = scene.snapshot().astype("<f8").tobytes()
+        return Keyframe(self._episode.elapsed_s, state, scene.state_hash())
 
     def keep(self, step: ExpertStep | None = None) -> None:
         """Record the present state, and the sub-task that led to it."""
-        scene = self._episode.simulation.scene
-        self._times.append(self._episode.elapsed_s)
-        self._states.append(scene.snapshot().astype("<f8").tobytes())
-        self._hashes.append(scene.state_hash())
-        if step is not None:
-            self._rows.append(
-                SubTaskRecord(
-                    **in_names(self._episode.instance, step.subtask),
-                    pick_pose=pose_row(step.grounded.pick),
-                    place_pose=pose_row(step.grounded.place),
-                    outcome=str(step.result.outcome),
-                    start_s=step.start_s,
-                    duration_s=step.result.duration_s,
-                )
-            )
+        self.frames.append(self.frame())
+        self.steps += [] if step is None else [step]
 
     def columns(self) -> dict[str, Any]:
         """Return the fields of an :class:`EpisodeRecord`, after the episode's end."""
@@ -97,16 +122,27 @@ class EpisodeRecorder:
                 instance.to_dict(), sort_keys=True, separators=(",", ":")
             ),
             "instance_sha256": instance.sha256(),
-            "subtasks": tuple(self._rows),
-            "keyframe_time_s": tuple(self._times),
-            "keyframe_state": tuple(self._states),
-            "keyframe_sha256": tuple(self._hashes),
+            "subtasks": tuple(_row(instance, step) for step in self.steps),
+            "keyframe_time_s": tuple(frame.time_s for frame in self.frames),
+            "keyframe_state": tuple(frame.state for frame in self.frames),
+            "keyframe_sha256": tuple(frame.sha256 for frame in self.frames),
             "success": info["is_success"],
             "progress": info["goal_progress"],
             "failure": info["failure"],
             "elapsed_s": info["elapsed_s"],
             "idle_s": tuple(info["idle_s"].values()),
         }
+
+
+def _row(instance: Instance, step: ExpertStep) -> SubTaskRecord:
+    return SubTaskRecord(
+        **in_names(instance, step.subtask),
+        pick_pose=pose_row(step.grounded.pick),
+        place_pose=pose_row(step.grounded.place),
+        outcome=str(step.result.outcome),
+        start_s=step.start_s,
+        duration_s=step.result.duration_s,
+    )
 
 
 def in_names(instance: Instance, subtask: SubTask) -> dict[str, str]:

@@ -17,11 +17,15 @@ import numpy as np
 from lemma.core.errors import DatasetError, UnknownNameError
 from lemma.core.workers.pool import Engine
 from lemma.dataset.files import check_files, listed_files
-from lemma.dataset.playback import play_steps
+from lemma.dataset.playback import Watcher, play_steps, unwatched
 from lemma.dataset.recipe.files import Recipe, open_table, read_group, versions
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.env.episode import Episode
+from lemma.env.team.orders import Team
+from lemma.planning.geometry import GroundedOption
+from lemma.scene.build import TIME_STEP_S
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
+from lemma.tasks.subtask import Primitive, SubTask
 
 _HERE = files("lemma.dataset") / "digests"
 _BINDING = ("format", "benchmark", "mujoco")
@@ -73,8 +77,37 @@ def replay(record: EpisodeRecord) -> Replay:
             worst = float(np.abs(difference).max(initial=0.0))
             drifts.append(Replay(record.key, keyframe, worst))
 
-    play_steps(episode, [row.grounded for row in record.subtasks], compare)
+    play_record(episode, record, compare)
     return drifts[0] if drifts else Replay(record.key, None, 0.0)
+
+
+def play_record(
+    episode: Episode, record: EpisodeRecord, before: Watcher = unwatched
+) -> None:
+    """Execute a record's sub-tasks: in turns, or each at the time at which it began.
+
+    Args:
+        episode: An episode of the record's instance, in its initial state.
+        record: The record.
+        before: Called with the number of each sub-task before it begins, and with the
+            number of sub-tasks at the end.
+    """
+    if episode.instance.goal.in_turns:
+        play_steps(episode, [row.grounded for row in record.subtasks], before)
+        return
+    team = Team(episode)
+    for number, row in enumerate(record.subtasks):
+        until_s = row.start_s - 0.5 * TIME_STEP_S
+        while team.orders and episode.simulation.time_s < until_s:
+            team.pass_time(row.start_s)
+        before(number)
+        primitive, now = Primitive(row.primitive), team.observe()
+        subtask = SubTask(row.robot, primitive, row.pick, row.place)
+        # Its effect, quality and duration are of no account here.
+        team.begin(GroundedOption(subtask, row.grounded, now, 0.0, 0.0), now)
+    while team.orders:
+        team.pass_time()
+    before(len(record.subtasks))
 
 
 def replay_all(

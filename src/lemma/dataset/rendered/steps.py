@@ -12,7 +12,7 @@ import numpy as np
 
 from lemma.core.errors import DatasetError, InvalidConfigError
 from lemma.core.poses import FloatArray
-from lemma.dataset.playback import play_steps
+from lemma.dataset.recipe.replay import play_record
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.teleoperation import TeleoperatedRecord, perform
 from lemma.env.episode import Episode
@@ -171,7 +171,7 @@ def _execute(
     if isinstance(record, TeleoperatedRecord):
         perform(record.done, episode, begin)
     else:
-        play_steps(episode, [row.grounded for row in record.subtasks], begin)
+        play_record(episode, record, begin)
     current = NO_SUBTASK
     while len(owners) % stride:
         simulation.tick()

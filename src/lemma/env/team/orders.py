@@ -24,14 +24,17 @@ from lemma.planning.grounding import (
     ground_or_refuse,
     is_as_predicted,
 )
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import TABLE, SymbolicState
 from lemma.scene.build import TIME_STEP_S
 from lemma.scene.objects.entity import STICK
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 LOOK_S = 0.05
 """Time between two checks for effects [s]."""
+PAUSE_S = 1.0
+"""Longest time between two decisions where the goal is about times and a robot is free
+[s]."""
 
 
 class Team:
@@ -254,6 +257,8 @@ class Team:
 
         A decision is due when a robot becomes free, and when an order has its effect
         while a robot is free. If no robot has an order, it is due after ``least_s``.
+        While a robot is free, it is due after :data:`PAUSE_S` where the goal's rule is
+        about times.
 
         Returns:
             The orders that ended meanwhile.
@@ -263,6 +268,8 @@ class Team:
         end_s = math.inf
         if not self.orders and not self._resting():
             end_s = episode.simulation.time_s + self._least_s
+        elif free and not episode.instance.goal.in_turns:
+            end_s = episode.simulation.time_s + PAUSE_S
         while not episode.is_over:
             done += self._begin_ready()
             done += self._pass_a_moment(end_s, looks=bool(free))

@@ -24,13 +24,13 @@ from lemma.planning.schedule import (
     Schedule,
     in_order,
     pose_jobs,
-    predecessors,
 )
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.scene.objects.entity import SHARED, pair_regions
 from lemma.tasks.instance import Instance
 from lemma.tasks.subtask import SubTask
 from lemma.tasks.suite import load_instance
+from lemma.tasks.teams.dependencies import predecessors
 
 SCHEDULES = "schedules.json.gz"
 """Name of the table's file in the package."""

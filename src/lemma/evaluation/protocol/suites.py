@@ -17,13 +17,15 @@ from lemma.motion.outcome import Outcome
 from lemma.tasks.goal import HOVER_M, LIFTED_M, OVER_M
 from lemma.tasks.instance import BENCHMARK_VERSION, splits_of
 from lemma.tasks.names import SUITE, SUITES
+from lemma.tasks.teams.rule import AT_ONCE_S
 
 OTHERS = tuple(name for name, tasks in SUITES.items() if tasks != SUITE)
 """Names of the suites besides the paper's."""
 _SUCCESS: dict[str, dict[str, float]] = {
     "ladder": {"over_m": OVER_M, "hover_m": HOVER_M, "lifted_m": LIFTED_M},
+    "teams": {"at_once_s": AT_ONCE_S},
 }
-"""Criteria of goals that are not in the protocol."""
+"""Criteria of goals and rules that are not in the protocol."""
 _REFUSED: dict[str, dict[str, list[str]]] = {
     "teams": {"refused": [Outcome.OVERLOAD.value]},
 }

@@ -29,7 +29,7 @@ from lemma.tasks.instance import (
 )
 from lemma.tasks.language.blind import check_kind, instruction
 from lemma.tasks.names import SUITES
-from lemma.tasks.suite import FREE_SPLIT, SUITE, check_split
+from lemma.tasks.suite import FREE_SPLIT, SUITE, TASKS, check_split
 from lemma.tasks.teams.pairs import PAIRS, TEST_PAIRS
 
 
@@ -84,6 +84,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
+        self._check_acting()
         if self.instance is not None:
             self._check_own(self.instance)
             self._check_disturbance()
@@ -112,6 +113,15 @@ class EvaluationConfig:
                 f"Split {FREE_SPLIT!r} is sampled without a limit. Set the number of "
                 "episodes of each task with --episodes."
             )
+
+    def _check_acting(self) -> None:
+        if self.policy.controls or self.policy.together:
+            return
+        if self.instance is not None:
+            self.instance.goal.check_in_turns()
+            return
+        for task in self.tasks:
+            TASKS[task].check_in_turns()
 
     def _check_pairs(self) -> None:
         if self.split == PAIRS and self.language != FULL:

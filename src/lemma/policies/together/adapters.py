@@ -6,7 +6,6 @@ from typing import Any
 
 from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GroundedOption, ground_or_refuse
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import (
     Composite,
@@ -29,6 +28,7 @@ from lemma.policies.together.interfaces import (
     orders_of,
 )
 from lemma.scene.objects.entity import SHARED, pair_regions
+from lemma.tasks.teams.dependencies import predecessors
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ from weakref import WeakKeyDictionary
 
 from lemma.core.errors import InvalidConfigError
 from lemma.env.episode import Episode
+from lemma.env.team.orders import PAUSE_S
 from lemma.env.team.valid_orders import valid_options
+from lemma.expert.timing import Aim
 from lemma.motion.outcome import Outcome
 from lemma.planning.grounding import GroundedOption, ground_or_refuse
 from lemma.planning.planner import candidates, find_plan
-from lemma.planning.schedule import predecessors
 from lemma.planning.symbolic_state import SymbolicState
 from lemma.policies.interfaces import Decision, Oracle
 from lemma.policies.oracle import refusal_words
@@ -22,6 +23,7 @@ from lemma.policies.together.interfaces import (
     TeamPolicy,
 )
 from lemma.tasks.subtask import STOP, SubTask
+from lemma.tasks.teams.dependencies import predecessors
 
 _STOP = Orders((Decision(STOP, None),))
 _MOST_PLANS = 4
@@ -62,8 +64,11 @@ class _Plan:
 
     steps: tuple[SubTask, ...] = ()
     todo: list[int] = field(default_factory=list)
+    needs: tuple[dict[int, str], ...] = ()
     made: int = 0
     failures: int = 0
+    aim: Aim | None = None
+    """Tells when a step must wait for its time."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,8 @@ class OracleTeam(Oracle):
     """Executes the expert's plan with all robots at once.
 
     Each free robot gets the first of its sub-tasks whose dependencies have all had
-    their effect, as in :mod:`lemma.expert.together`. After a failure the working robots
-    finish, and then there is a new plan, up to four in total.
+    their effect, once it is due, as in :mod:`lemma.expert.together`. After a failure
+    the working robots finish, and then there is a new plan, up to four in total.
     """
 
     _plans: WeakKeyDictionary[Episode, _Plan] = field(
@@ -101,22 +106,30 @@ class OracleTeam(Oracle):
                 return Orders((Decision(STOP, None, why),))
             plan.steps, plan.made = found.subtasks, plan.made + 1
             plan.todo, plan.failures = list(range(len(plan.steps))), failures
+            regions, rule = tuple(episode.instance.scene.regions), goal.rule
+            plan.needs = predecessors(plan.steps, regions, rule)
+            plan.aim = Aim(team, plan.steps, plan.needs)
         return _ordered(_take(plan, team_input))
 
 
 def _take(plan: _Plan, team_input: TeamOracleInput) -> list[SubTask]:
     """Remove and return the steps that can begin now, at most one per free robot."""
-    instance = team_input.episode.instance
-    regions = tuple(instance.scene.regions)
-    needs = predecessors(plan.steps, regions, instance.goal.rule)
     settled = team_input.team.settled(team_input.team.observe())
-    busy = {d.subtask for name, d in team_input.doing.items() if name not in settled}
+    doing = team_input.doing
+    begun = {
+        k: each.since_s
+        for k, one in enumerate(plan.steps)
+        for each in doing.values()
+        if one == each.subtask and k not in plan.todo
+    }
+    busy = {each.subtask for name, each in doing.items() if name not in settled}
     missing = {*plan.todo, *(k for k, one in enumerate(plan.steps) if one in busy)}
-    found = []
+    have, found = {*range(len(plan.steps))} - missing, []
     for robot in team_input.free:
         mine = (k for k in plan.todo if plan.steps[k].robot == robot)
-        k = next((k for k in mine if not needs[k].keys() & missing), None)
-        if k is not None:
+        k = next((k for k in mine if not plan.needs[k].keys() & missing), None)
+        times = (team_input.time_s, begun, have, PAUSE_S)
+        if k is not None and (plan.aim is None or plan.aim.is_due(k, *times)):
             found.append(plan.steps[k])
             plan.todo.remove(k)
     return found

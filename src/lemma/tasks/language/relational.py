@@ -27,7 +27,7 @@ from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import ORDINALS, robot_phrases
 from lemma.tasks.language.template import KINDS, MAX_CHARACTERS, RELATIONAL
 from lemma.tasks.names import FAMILIES, SUITE
-from lemma.tasks.teams.rule import After, But, Without
+from lemma.tasks.teams.rule import After, But, Together, Without
 
 NEARER_M = 0.04
 """By how much an object is nearer, or farther, than the next one [m]."""
@@ -210,9 +210,9 @@ def say(scene: SceneSpec, goal: Goal, rng: np.random.Generator) -> str:
         at random, are said by their names instead.
 
     Raises:
-        InvalidConfigError: A hand is part of the goal, its rule says *after* about
-            other pairs than those of the goal, or the sentence has too many characters
-            even without relations.
+        InvalidConfigError: A hand is part of the goal, its rule is about other pairs
+            than those of the goal, or the sentence has too many characters even without
+            relations.
     """
     if any(HAND in pair for pair in goal.pairs):
         raise InvalidConfigError(
@@ -271,7 +271,7 @@ def _kept_by_color(things: Mapping[str, Thing], goal: Goal) -> tuple[str, ...] |
     there = all(name in things for name in (*tops, *bottoms))
     if not (alike and by_color and there) or len(pairs) < 2:
         return None
-    if isinstance(goal.rule, After):
+    if isinstance(goal.rule, After | Together):
         return None
     noun = things[tops[0]].noun
     stay = [n for n, one in things.items() if one.noun == noun and n not in tops]
@@ -290,13 +290,13 @@ def _sentence(
         stay = " and ".join(f"the {words[name]}" for name in kept)
         stay = f" except {stay}" if stay else ""
         parts = [f"every {top}{stay} on the {bottom} of its color"]
+    elif rule is not None and rule.pairs and set(rule.pairs) != set(goal.pairs):
+        raise InvalidConfigError(
+            f"{rule} is not about all of the goal, so no {RELATIONAL!r} "
+            "instruction says it. Choose another kind."
+        )
     elif isinstance(rule, After):
         later, first = rule.pairs
-        if set(rule.pairs) != set(goal.pairs):
-            raise InvalidConfigError(
-                f"{rule} is not about all of the goal, so no {RELATIONAL!r} "
-                "instruction says it. Choose another kind."
-            )
         parts, link = _parts((first, later), things, words), " and only after that "
     else:
         parts = _parts(goal.pairs, things, words)
@@ -305,6 +305,8 @@ def _sentence(
         text += f"; the {words[rule.excluded]} must not touch anything"
     elif isinstance(rule, But):
         text += f"; nothing may touch the {words[rule.thing]}"
+    elif isinstance(rule, Together):
+        text += ", both at the same time"
     return f"Put {text}"
 
 

@@ -5,7 +5,7 @@ from lemma.scene.objects.entity import entity_named
 from lemma.tasks.goal import Goal, On
 from lemma.tasks.library import task
 from lemma.tasks.placement import ObjectPlacer
-from lemma.tasks.teams.rule import RULES, After, But, Without
+from lemma.tasks.teams.rule import After, But, Without
 
 OF_THREE = (
     ("ur5",) * 3,
@@ -106,7 +106,7 @@ def arrange_tower(placer: ObjectPlacer) -> Goal:
     distractors=(0, 1),
     layout="triangle",
     teams=OF_THREE,
-    rules=tuple(RULES),
+    rules=(After.kind, Without.kind, But.kind),
 )
 def arrange_exchange(placer: ObjectPlacer) -> Goal:
     """A rule takes away one of two ways; nothing but the sentence tells which."""

@@ -1,8 +1,9 @@
 """Rules: what must not happen on the way to a goal.
 
 A goal says what shall hold in the end; its rule, if it has one, says what holds all the
-way: one thing only after another, without a robot, or nothing about an object. A broken
-rule ends the episode, which has failed (:mod:`lemma.tasks.teams.rule_watch`).
+way: one thing only after another, two at the same time, without a robot, or nothing
+about an object. A broken rule ends the episode, which has failed
+(:mod:`lemma.tasks.teams.rule_watch`).
 """
 
 from abc import ABC, abstractmethod
@@ -19,12 +20,16 @@ Pair = tuple[str, str]
 """The (top, bottom) of a part of a goal."""
 Has = Callable[[str, str], bool]
 """Whether the top of a pair lies on its bottom, in a planner's state."""
+AT_ONCE_S = 2.0
+"""Longest time between two moments that count as the same [s]."""
 
 
 class Rule(ABC):
     """Forbids something on the way to a goal; plain data."""
 
     kind: ClassVar[str]
+    in_turns: ClassVar[bool] = True
+    """Whether robots that act one after another can keep it."""
 
     @property
     @abstractmethod
@@ -53,6 +58,11 @@ class Rule(ABC):
     def orders(self, earlier: SubTask, later: SubTask) -> bool:
         """Whether a sub-task must not have its effect before an earlier one has it."""
         del earlier, later
+        return False
+
+    def meet(self, one: SubTask, other: SubTask) -> bool:
+        """Whether two sub-tasks must have their effects at the same time."""
+        del one, other
         return False
 
     def forbids(self, one: str, other: str) -> bool:
@@ -166,8 +176,47 @@ class But(Rule):
         return {"thing": entity_named(self.thing).phrase}
 
 
-RULES: dict[str, type[After | Without | But]] = {
-    one.kind: one for one in (After, Without, But)
+@dataclass(frozen=True, slots=True)
+class Together(Rule):
+    """Two parts of the goal become true at the same time, to :data:`AT_ONCE_S`."""
+
+    kind: ClassVar[str] = "together"
+    in_turns: ClassVar[bool] = False
+    top: str
+    bottom: str
+    other_top: str
+    other_bottom: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One part, then the other one."""
+        return (self.top, self.bottom, self.other_top, self.other_bottom)
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """Both parts."""
+        return (self.top, self.bottom), (self.other_top, self.other_bottom)
+
+    def permits(self, subtask: SubTask, has: Has) -> bool:
+        """Any sub-task may keep it; its time decides."""
+        del subtask, has
+        return True
+
+    def meet(self, one: SubTask, other: SubTask) -> bool:
+        """Whether two sub-tasks make the two parts true."""
+        steps = {(one.pick, one.place), (other.pick, other.place)}
+        return steps == {*self.pairs}
+
+    def words(self, robots: Sequence[str]) -> dict[str, str]:
+        """Both parts."""
+        del robots
+        slots = ("top", "bottom", "other_top", "other_bottom")
+        said = (entity_named(name).phrase for name in self.names)
+        return dict(zip(slots, said, strict=True))
+
+
+RULES: dict[str, type[After | Without | But | Together]] = {
+    one.kind: one for one in (After, Without, But, Together)
 }
 """Every kind of rule by name."""
 

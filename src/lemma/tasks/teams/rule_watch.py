@@ -3,14 +3,16 @@
 So it is the same at every level, and however robots act.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from lemma.scene.build import TIME_STEP_S
 from lemma.scene.scene import Scene
-from lemma.tasks.teams.rule import Pair, Rule
+from lemma.tasks.teams.rule import AT_ONCE_S, Pair, Rule, Together
 
 
 class Part(Protocol):
@@ -29,6 +31,8 @@ class RuleState:
 
     broken: str | None
     has_been: bool
+    laid_s: tuple[tuple[Pair, float], ...] = ()
+    """Parts that shall become true together and have, with simulated times [s]."""
 
 
 class RuleWatch:
@@ -48,6 +52,7 @@ class RuleWatch:
         self._scene = scene
         self._parts = tuple(parts[pair] for pair in rule.pairs)
         self._has_been = False
+        self._laid_s: dict[Pair, float] = {}
         objects, robots = scene.coasting.names, scene.spec.robot_names
         self._names = (*objects, *robots, "")
         bad = [[rule.forbids(a, b) for b in self._names] for a in self._names]
@@ -64,7 +69,12 @@ class RuleWatch:
             self.broken = f"The {one} and the {other} touched."
         if not self._parts or self._has_been or self.broken is not None:
             return
-        later, first = self._parts
+        if isinstance(self.rule, Together):
+            self._look_at_times()
+        else:
+            self._look_at_order(*self._parts)
+
+    def _look_at_order(self, later: Part, first: Part) -> None:
         # In this order: of two that come true in one tick, neither came before.
         self._has_been = first.holds(self._scene)
         if not self._has_been and later.lies(self._scene):
@@ -74,16 +84,38 @@ class RuleWatch:
                 f"{first_bottom}."
             )
 
+    def _look_at_times(self) -> None:
+        now_s, laid_s = self._scene.time_s, self._laid_s
+        late_s = min(laid_s.values(), default=math.inf) + AT_ONCE_S + 0.5 * TIME_STEP_S
+        if now_s > late_s:
+            ((top, bottom),) = set(self.rule.pairs) - {*laid_s}
+            self.broken = (
+                f"The {top} was not on the {bottom} within {AT_ONCE_S:g} s of the "
+                "other one."
+            )
+            return
+        for pair, part in zip(self.rule.pairs, self._parts, strict=True):
+            if pair not in laid_s and part.lies(self._scene):
+                laid_s[pair] = now_s
+        self._has_been = len(laid_s) == len(self._parts)
+
     def info(self) -> dict[str, object]:
         """Return the rule and how it was broken, ready for JSON."""
-        rule = [self.rule.kind, *self.rule.names]
-        return {"rule": rule, "broken": self.broken, "has_been": self._has_been}
+        found: dict[str, object] = {
+            "rule": [self.rule.kind, *self.rule.names],
+            "broken": self.broken,
+            "has_been": self._has_been,
+        }
+        if isinstance(self.rule, Together):
+            found["laid_s"] = [self._laid_s.get(pair) for pair in self.rule.pairs]
+        return found
 
     def state(self) -> RuleState:
         """Return what is known so far."""
-        return RuleState(self.broken, self._has_been)
+        return RuleState(self.broken, self._has_been, tuple(self._laid_s.items()))
 
     def restore(self, state: RuleState) -> None:
         """Go back to what was known before."""
         self.broken, self._has_been = state.broken, state.has_been
+        self._laid_s = dict(state.laid_s)
         self._scene.forbidden.first[:] = -1

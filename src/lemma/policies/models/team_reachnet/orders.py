@@ -2,9 +2,9 @@
 
 from collections.abc import Collection, Sequence
 
-from lemma.planning.schedule import predecessors
 from lemma.policies.models.team_reachnet.teams import REGIONS
 from lemma.tasks.subtask import SubTask
+from lemma.tasks.teams.dependencies import predecessors
 from lemma.tasks.teams.rule import Rule
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from lemma.core.arguments import known
 from lemma.core.robot_names import robot_number
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import EntitySet
@@ -99,6 +100,9 @@ def wanted_of(
         teams: Colors of the robots, in the order of their numbers.
         entities: Entities, in the order of their numbers.
         device: Device of the result.
+
+    Raises:
+        UnknownNameError: A rule is of a kind that the reader does not know.
     """
     bottoms, kinds, roles, excluded = [], [], [], []
     for goal, rule, team in zip(goals, rules, teams, strict=True):
@@ -113,7 +117,7 @@ def wanted_of(
         elif kind == "without":
             robot = ROBOT_COLORS.index(team[robot_number(names[0])])
         bottoms.append(row)
-        kinds.append(RULES.index(kind))
+        kinds.append(RULES.index(known("kind of rule", kind, RULES)))
         roles.append(held)
         excluded.append(robot)
     found = (bottoms, kinds, roles, excluded)
