@@ -19,7 +19,16 @@ ENGINE = "3.17"
 PYTHONS = ((3, 11), (3, 14))
 """The first supported Python, and the first unsupported one after it."""
 PACKAGES = (
-    *("numpy", "scipy", "numba", "gymnasium", "pettingzoo", "pyarrow", "pillow"),
+    *(
+        "numpy",
+        "scipy",
+        "numba",
+        "llvmlite",
+        "gymnasium",
+        "pettingzoo",
+        "pyarrow",
+        "pillow",
+    ),
     *("av", "matplotlib", "jinja2", "msgspec", "filelock", "tyro", "rich"),
 )
 _INSTALL = "python -m pip install lemma-bench"
