@@ -327,7 +327,7 @@ STATE_AND_ACTION = {"observation.state": (14,), "action": (14,)}
 @pytest.mark.parametrize(
     ("shapes", "message"),
     [
-        (STATE_AND_ACTION, "sees {}"),
+        (STATE_AND_ACTION, "images are {}"),
         (STATE_AND_ACTION | {"observation.images.top": (3, 48, 64)}, "robot_0_wrist"),
         (
             STATE_AND_ACTION
