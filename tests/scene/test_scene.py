@@ -1,6 +1,10 @@
 """A scene: names instead of addresses, state that can be kept and put back."""
 
+import copy
 import math
+import pickle
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -250,3 +254,10 @@ def test_memory_that_is_elsewhere_is_an_error() -> None:
     scene.physics = (addresses, time, count + 1, *others)  # type: ignore[assignment]
     with pytest.raises(PhysicsError, match="Install the version"):
         scene.check_memory()
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_scene_is_not_copied(scene: Scene, copied: Callable[[Any], Any]) -> None:
+    """A copy would advance the physics of the first one, or memory that is free."""
+    with pytest.raises(TypeError, match=r"Restore a snapshot\(\)"):
+        copied(scene)

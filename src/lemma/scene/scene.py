@@ -4,6 +4,7 @@ import hashlib
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NoReturn, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -300,6 +301,13 @@ class Scene:
     def entity_of_body(self, body: int) -> str | None:
         """Return the entity that a MuJoCo body belongs to, if any."""
         return self._entity_by_body.get(body)
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
+        """Refuse copies: their kernels would write into the memory of this scene."""
+        raise TypeError(
+            "A scene, and what contains one, such as an environment or an episode, "
+            "cannot be copied or pickled. Restore a snapshot() in another one."
+        )
 
     def snapshot(self) -> FloatArray:
         """Return MuJoCo's full integration state, (n,), for bit-exact continuation."""
