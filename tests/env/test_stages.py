@@ -15,6 +15,7 @@ from lemma.env.episode import Episode
 from lemma.env.signals.stage_events import StageEvents
 from lemma.env.stages import Stage, stages_of
 from lemma.expert.expert import Expert, solve
+from lemma.expert.together import solve_together
 from lemma.motion.outcome import Outcome
 from lemma.scene.objects.entity import HAND
 from lemma.tasks.instance import Instance
@@ -79,7 +80,8 @@ def stages_seen(
                 (episode.progress, episode.stages.furthest, episode.stages.first)
             )
         )
-        list(play(episode))
+        solver = solve if instance.goal.in_turns else solve_together
+        list(solver(episode))
     return seen, told
 
 
