@@ -72,8 +72,11 @@ def count_up(most: int) -> int:
     return most
 
 
-def later_is_faster(number: int) -> int:
-    time.sleep(0.3 if number == 0 else 0.0)
+def first_waits(number: int, folder: Path) -> int:
+    """Job 0 waits for job 2, which the other worker begins after it has sent job 1."""
+    (folder / str(number)).touch()
+    while number == 0 and not (folder / "2").exists():
+        time.sleep(0.01)
     return number
 
 
@@ -181,11 +184,12 @@ def test_outside_of_a_job_nobody_hears_reports() -> None:
 
 
 @pytest.mark.slow
-def test_results_in_the_order_of_the_jobs() -> None:
-    jobs: list[Job] = [(i,) for i in range(8)]
+def test_results_in_the_order_of_the_jobs(tmp_path: Path) -> None:
+    jobs: list[Job] = [(i, tmp_path) for i in range(8)]
     pool = ProcessPool(2)
-    assert list(run_in_order(pool, later_is_faster, jobs)) == list(range(8))
-    assert next(pool.run(later_is_faster, jobs)) != 0
+    assert list(run_in_order(pool, first_waits, jobs)) == list(range(8))
+    (tmp_path / "2").unlink()
+    assert next(pool.run(first_waits, jobs)) != 0
 
 
 @pytest.mark.slow
