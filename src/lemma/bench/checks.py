@@ -19,17 +19,8 @@ ENGINE = "3.17"
 PYTHONS = ((3, 11), (3, 14))
 """The first supported Python, and the first unsupported one after it."""
 PACKAGES = (
-    *(
-        "numpy",
-        "scipy",
-        "numba",
-        "llvmlite",
-        "gymnasium",
-        "pettingzoo",
-        "pyarrow",
-        "pillow",
-    ),
-    *("av", "matplotlib", "jinja2", "msgspec", "filelock", "tyro", "rich"),
+    *("numpy", "scipy", "numba", "llvmlite", "gymnasium", "pettingzoo", "pyarrow"),
+    *("pillow", "av", "matplotlib", "jinja2", "msgspec", "filelock", "tyro", "rich"),
 )
 _INSTALL = "python -m pip install lemma-bench"
 _TASK = "stack"
