@@ -141,12 +141,16 @@ def validation_figure(trainings: Sequence[Training]) -> Figure:
     """Return the validation curves of first seeds with ten validations."""
     shown: dict[str, Training] = {}
     for one in trainings:
-        if len(one.curve) == TENTHS:
+        # A step count that ten does not divide leaves one more validation at the end.
+        if len(one.curve) in (TENTHS, TENTHS + 1):
             shown.setdefault(one.name, one)
     series = [
         Series(
             f"{one.name}: {one.selection}",
-            tuple(Mark(value, value, value, f"{value:.1%}") for value in one.curve),
+            tuple(
+                Mark(value, value, value, f"{value:.1%}")
+                for value in one.curve[:TENTHS]
+            ),
         )
         for one in shown.values()
     ]

@@ -30,3 +30,9 @@ def test_trainings_are_kept_listed_and_plotted(tmp_path: Path) -> None:
     (tmp_path / "kept" / "two.json").write_text('{"name": 3}')
     with pytest.raises(DatasetError, match="no training"):
         read_trainings(tmp_path / "kept")
+
+
+def test_the_figure_shows_a_training_of_every_model_with_a_row() -> None:
+    kept = read_trainings()
+    picture = validation_figure(kept).svg
+    assert {one.name for one in kept if f"{one.name}: " not in picture} == set()
