@@ -1,8 +1,9 @@
 """Learn a hand-over as a whole: clone demonstrations, then improve them with PPO.
 
-python scripts/learn_a_team.py [TASK] [MINUTES] [WORLDS] [WEIGHTS.pt] [SEED]
+python scripts/learn_a_team.py [TASK,...] [MINUTES] [WORLDS] [WEIGHTS.pt] [SEED]
 
-One network moves both hands. It learns in thousands of worlds of all teams of the task.
+One network moves both hands. It learns in thousands of worlds of all teams of the
+tasks.
 First it imitates the rules of lemma.policies.control.team_rules in the states that it
 visits itself (DAgger), then PPO continues, with a term of imitation that fades out. The
 cloned network is saved as WEIGHTS-cloned.pt. Prints a table: phase, steps, seconds,
@@ -19,7 +20,6 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -260,7 +260,8 @@ def train(learner: Learner, minutes: float, path: Path) -> None:
     start, budget = time.perf_counter(), 60.0 * minutes
     columns = ("phase", "steps", "seconds", "success", "episodes", "error or std")
     print(*columns, "lost", sep="\t")
-    optimizer = torch.optim.Adam(learner.actor.parameters(), CLONE_RATE)
+    fused = learner.log_std.is_cuda
+    optimizer = torch.optim.Adam(learner.actor.parameters(), CLONE_RATE, fused=fused)
     while (spent := time.perf_counter() - start) < CLONE_SHARE * budget or (
         not learner.rounds
     ):
@@ -271,7 +272,7 @@ def train(learner: Learner, minutes: float, path: Path) -> None:
     learner.kept.clear()
     _save(learner.actor, path.with_name(f"{path.stem}-cloned.pt"))
     _tell(learner, "cloned", start, f"{learner.measure():.4f}", "all", "-")
-    optimizer = torch.optim.Adam(learner.weights, RATE)
+    optimizer = torch.optim.Adam(learner.weights, RATE, fused=fused)
     begin, first = time.perf_counter(), learner.rounds
     left = max(1.0, start + budget - begin)
     while time.perf_counter() - begin < left or learner.rounds == first:
@@ -293,17 +294,24 @@ def main(
     path: str = "team.pt",
     seed: str = "0",
 ) -> None:
-    """Train in worlds of all teams of the task."""
-    teams = TASKS[task].teams
-    each = max(1, int(worlds) // len(teams))
-    options: dict[str, Any] = {
-        "reward": "rise",
-        "horizon_s": HORIZON_S * (2 if task.endswith("2") else 1),
-        "pool": min(512, 16 * each),
-        # Instances of different seeds differ.
-        "seed": 1000 * int(seed),
-    }
-    envs = [GpuVecEnv(task, each, team=team, **options) for team in teams]
+    """Train in worlds of all teams of the tasks."""
+    tables = [(name, team) for name in task.split(",") for team in TASKS[name].teams]
+    each = max(1, int(worlds) // len(tables))
+    envs = [
+        GpuVecEnv(
+            name,
+            each,
+            team=team,
+            reward="rise",
+            horizon_s=HORIZON_S * (2 if name.endswith("2") else 1),
+            pool=min(512, 16 * each),
+            # Instances of different seeds differ.
+            seed=1000 * int(seed),
+        )
+        for name, team in tables
+    ]
+    # Enough for regression, and several times as fast.
+    torch.set_float32_matmul_precision("high")
     train(Learner(envs, int(seed)), float(minutes), Path(path))
 
 

@@ -100,6 +100,7 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
         robot_colors=[TEAM] * frames,
         rules=[()] * frames,
         hands=[()] * frames,
+        heavy=torch.zeros(frames, len(BENCHMARK), dtype=torch.bool),
         perturbed=torch.zeros(frames, dtype=torch.bool),
     )
     past = np.full((frames, MAX_PAST, 4), NOBODY)

@@ -94,6 +94,8 @@ class Labels:
     """The rule of each goal (:mod:`lemma.tasks.teams.rule`); empty without one."""
     hands: list[tuple[str, ...]]
     """Names of the robots' hands; empty where all have the standard one."""
+    heavy: Tensor
+    """Whether entities have a mass of their own, (B, E) bool: they are heavy."""
     perturbed: Tensor
     """Whether the frames also depend on a perturbation, (B,) bool."""
     kind_and_height: Tensor | None = None

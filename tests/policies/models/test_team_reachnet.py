@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from batches import RASTER
+from batches import RASTER, drawn_batch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,7 +21,9 @@ from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.planner import move_of, number_of
 from lemma.policies.models.team_reachnet.reader import (
     RULES,
+    Reading,
     named_entities,
+    rule_of_times,
     wanted_of,
 )
 from lemma.policies.models.team_reachnet.table import (
@@ -44,7 +46,7 @@ from lemma.policies.together.interfaces import Doing, TeamInput
 from lemma.scene.objects.pad import PAD
 from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.subtask import STOP, Primitive, SubTask
-from lemma.tasks.teams.rule import After
+from lemma.tasks.teams.rule import After, Together
 
 NETWORK = TeamReachNet(TeamReachNetConfig(cell_m=RASTER.cell_m)).eval()
 ENTITIES = NETWORK.entities
@@ -120,10 +122,13 @@ def scene() -> TeamTable:
         height = z + kind.height_m - kind.top_m
         pose = (x, 0.1, height, 1.0, 0.0, 0.0, 0.0)
         objects[0, ENTITIES.number(name)] = torch.tensor(pose)
-    there = torch.tensor([[color in TEAM for color in ROBOT_COLORS]])
+    team = torch.tensor([[color in TEAM for color in ROBOT_COLORS]])
     bases = torch.tensor([[[-0.8, 0.0, 0.0], [0, 0, 0], [0.8, 0, 0], [0, 0.9, 0]]])
     radii = torch.tensor([0.2, 0.9, 0.95]).expand(1, ROBOTS, 3)
-    return true_table(objects, bases, radii, there, torch.zeros_like(there), ENTITIES)
+    labels = drawn_batch(1).labels
+    assert labels is not None
+    labels = replace(labels, objects=objects, bases=bases)
+    return true_table(labels, radii, team, torch.zeros_like(team), ENTITIES)
 
 
 @given(st.integers(0, ROBOTS * CARGO * (TARGETS + len(REGIONS))))
@@ -213,24 +218,32 @@ def test_hidden_pads_are_remembered() -> None:
 
 
 def test_rules_as_numbers() -> None:
-    goals = [(("red_cube", "blue_pad"), ("white_cube", "red_cube"))] * 4
+    goals = [(("red_cube", "blue_pad"), ("white_cube", "red_cube"))] * 5
     rules = [
         (),
         ("after", "white_cube", "red_cube", "red_cube", "blue_pad"),
         ("without", "robot_1"),
         ("but", "green_cube"),
+        ("together", "red_cube", "blue_pad", "white_cube", "red_cube"),
     ]
     device = torch.device("cpu")
-    wanted = wanted_of(goals, rules, [TEAM] * 4, ENTITIES, device)
+    wanted = wanted_of(goals, rules, [TEAM] * 5, ENTITIES, device)
     number = ENTITIES.number
     assert [RULES[i] for i in wanted.rule] == ["", *(one[0] for one in rules[1:])]
     assert wanted.bottoms[0, number("red_cube")] == number("blue_pad")
     assert wanted.roles[1].tolist() == [number("white_cube"), number("red_cube"), -1]
     assert wanted.roles[3].tolist() == [-1, -1, number("green_cube")]
-    assert wanted.excluded.tolist() == [-1, -1, ROBOT_COLORS.index("red"), -1]
+    assert wanted.excluded.tolist() == [-1, -1, ROBOT_COLORS.index("red"), -1, -1]
     shares = wanted.shares(TARGETS)
     assert torch.all(shares.bottoms.sum(-1) == 1)
-    assert shares.roles.sum((1, 2)).tolist() == [0, 2, 0, 1]
+    assert shares.roles.sum((1, 2)).tolist() == [0, 2, 0, 1, 0]
+    read = [Reading(*(part[i : i + 1] for part in shares)) for i in range(5)]
+    timed = [rule_of_times(one, ENTITIES) for one in read]
+    assert [rule and rule.kind for rule in timed] == [
+        *(None, "after", None, None, "together")
+    ]
+    assert timed[4] is not None
+    assert {*timed[4].pairs} == {*goals[4]}
 
 
 def test_each_robot_gets_its_part_as_soon_as_what_it_needs_is_ordered(
@@ -274,6 +287,24 @@ def test_a_part_of_the_goal_waits_until_the_first_part_has_ended() -> None:
     assert next_orders(steps, [2], robots, steps[:2], after) == [2]
 
 
+def test_two_parts_at_the_same_time_are_ordered_at_once() -> None:
+    steps = [
+        move(0, "red_cube", "shared"),
+        move(1, "red_cube", "red_pad"),
+        move(2, "white_cube", "blue_pad"),
+    ]
+    rule = Together("white_cube", "blue_pad", "red_cube", "red_pad")
+    robots = ("robot_0", "robot_1", "robot_2")
+    assert next_orders(steps, [0, 1, 2], robots, [], rule) == [0]
+    # The first one is under way, then it has ended, then its robot alone is busy.
+    assert next_orders(steps, [1, 2], robots[1:], [], rule) == []
+    assert next_orders(steps, [1, 2], robots, steps[:1], rule) == [1, 2]
+    assert next_orders(steps, [1, 2], robots[:2], steps[:1], rule) == []
+    # A plan that has one robot do both cannot keep the rule.
+    alone = [move(1, "red_cube", "red_pad"), move(1, "white_cube", "blue_pad")]
+    assert next_orders(alone, [0, 1], robots, [], rule) == [0]
+
+
 def test_a_robot_takes_what_is_ready_before_what_waits() -> None:
     steps = [
         move(0, "red_cube", "shared_01"),
@@ -315,6 +346,21 @@ def test_no_move_is_planned_that_neither_goal_nor_rule_asks_for() -> None:
     assert kept < scores(table)[0, number] - 10.0
     done = table.moved(torch.tensor([red]), torch.tensor([pad]))
     assert best(done) == STOP
+
+
+def test_a_weak_hand_is_not_given_what_is_heavy() -> None:
+    table, red = scene(), ENTITIES.number("red_cube")
+    first = ROBOT_COLORS.index(
+        next(c for i, c in enumerate(TEAM) if best(table).robot == f"robot_{i}")
+    )
+    weak = torch.zeros_like(table.team)
+    weak[0, first] = True
+    assert best(replace(table, weak=weak)) == best(table)
+    heavy = table.heavy.clone()
+    heavy[0, red] = 1.0
+    found = best(replace(table, weak=weak, heavy=heavy))
+    assert found.pick == "red_cube"
+    assert found.robot != best(table).robot
 
 
 def test_hidden_cubes_are_remembered_where_they_were_put() -> None:

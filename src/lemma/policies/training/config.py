@@ -49,6 +49,9 @@ class Augmentation:
     paraphrases: Level = 0.7
     """Share of sentences that differ from all templates, from a grammar or recombined
     from parts of templates; 0 for none."""
+    relational: Share = 0.0
+    """Share of frames whose sentence names things by their places in the frame, for
+    models that read it with the scene."""
     translate_cells: Whole = 6
     """Largest shift of the scene, in cells of the map; 0 for none."""
     turn: bool = True

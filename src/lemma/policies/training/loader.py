@@ -25,6 +25,7 @@ from lemma.dataset.instructions import draw_instruction
 from lemma.policies.batch import Batch
 from lemma.policies.frames import Frames
 from lemma.policies.text.paraphrase import paraphrase
+from lemma.policies.text.places import relational_in
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
 from lemma.tasks.language.bank import robot_phrases_in_order, say_rule
@@ -134,6 +135,8 @@ class BatchLoader:
         batch = with_instructions(
             batch, config.seed, draw, config.kinds, config.augmentation.paraphrases
         )
+        if config.augmentation.relational:
+            batch = with_places(batch, config.augmentation.relational, rng)
         batch = with_language(batch, config.language, rng)
         return replace(batch, text_tensors=self._text_tensors(batch))
 
@@ -269,6 +272,24 @@ def with_instructions(
                 text = say_rule(rule_from(rule), kind, text, robots, rng)
             drawn[episode] = text
         texts.append(text)
+    return replace(batch, instructions=texts)
+
+
+def with_places(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
+    """Return a batch in which some sentences name things by their places.
+
+    They are about the frame's own scene, as if the episode began there.
+
+    Args:
+        batch: Batch with labels.
+        share: Share of the frames.
+        rng: Random generator.
+    """
+    assert batch.labels is not None
+    texts = [
+        relational_in(batch, row, rng) if rng.random() < share else text
+        for row, text in enumerate(batch.instructions)
+    ]
     return replace(batch, instructions=texts)
 
 

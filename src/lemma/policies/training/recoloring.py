@@ -49,6 +49,7 @@ def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
             labels,
             decision=_renamed(labels.decision, tables),
             objects=_reordered(labels.objects, tables),
+            heavy=_reordered(labels.heavy[..., None], tables).squeeze(2),
             goals=goals,
             rules=[
                 rule and _rule_anew(rule, entities, tuple(new))
@@ -78,7 +79,7 @@ def _renamed(decisions: Tensor, tables: Tensor) -> Tensor:
 
 
 def _reordered(objects: Tensor, tables: Tensor) -> Tensor:
-    """Return true poses (B, E, 7), in the rows of the new colors."""
+    """Return values of entities (B, E, ...), in the rows of the new colors."""
     rows = tables[:, : objects.shape[1], None].expand_as(objects)
     return torch.empty_like(objects).scatter_(1, rows, objects)
 

@@ -19,9 +19,10 @@ import numpy as np
 
 from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
+from lemma.core.robot_names import robot_name
 from lemma.core.seeding import stream
 from lemma.scene.objects.entity import HAND, entity_named
-from lemma.scene.spec import SceneSpec
+from lemma.scene.spec import RobotPlacement, SceneSpec
 from lemma.tasks.goal import Goal
 from lemma.tasks.instance import BENCHMARK_VERSION, Instance
 from lemma.tasks.language.bank import ORDINALS, robot_phrases
@@ -97,13 +98,18 @@ def _drawn(key: tuple[str, str, str, int], scene: SceneSpec, goal: Goal) -> str:
 
 def things_in(scene: SceneSpec) -> dict[str, Thing]:
     """Return all robots and objects of a scene by name."""
-    phrases = robot_phrases(scene.robots)
-    robots = zip(scene.robot_names, phrases, scene.robots, strict=True)
-    found = {name: Thing(ROBOT, phrase, r.base) for name, phrase, r in robots}
-    for placed in scene.objects:
-        entity = placed.entity
-        noun = entity.kind.nouns[0]
-        found[placed.name] = Thing(noun, entity.phrase, placed.pose)
+    return things_at(scene.robots, {one.name: one.pose for one in scene.objects})
+
+
+def things_at(
+    robots: Sequence[RobotPlacement], objects: Mapping[str, Pose2]
+) -> dict[str, Thing]:
+    """Return robots, and objects at their poses, by name."""
+    named = enumerate(zip(robot_phrases(robots), robots, strict=True))
+    found = {robot_name(i): Thing(ROBOT, text, one.base) for i, (text, one) in named}
+    for name, pose in objects.items():
+        entity = entity_named(name)
+        found[name] = Thing(entity.kind.nouns[0], entity.phrase, pose)
     return found
 
 
@@ -198,11 +204,17 @@ def _between(me: Thing, one: Thing, two: Thing, margin_m: float) -> bool:
 
 
 def say(scene: SceneSpec, goal: Goal, rng: np.random.Generator) -> str:
+    """Draw a sentence about a scene; see :func:`say_of`."""
+    return say_of(things_in(scene), goal, rng)
+
+
+def say_of(things: Mapping[str, Thing], goal: Goal, rng: np.random.Generator) -> str:
     """Draw a sentence that says a goal and its rule by relations.
 
     Args:
-        scene: The scene at the beginning of the episode.
-        goal: The goal; objects that are not in the scene are said by their names.
+        things: All robots and objects at the beginning of the episode, from
+            :func:`things_in`.
+        goal: The goal; objects that are not there are said by their names.
         rng: Random generator.
 
     Returns:
@@ -218,7 +230,7 @@ def say(scene: SceneSpec, goal: Goal, rng: np.random.Generator) -> str:
         raise InvalidConfigError(
             f"A goal with a hand has no {RELATIONAL!r} instruction. Choose another."
         )
-    things, rule = things_in(scene), goal.rule
+    rule = goal.rule
     kept = _kept_by_color(things, goal)
     # A rule about an object that stays belongs to "every ... except".
     if kept is not None and not isinstance(rule, But) and rng.integers(2):

@@ -24,11 +24,7 @@ from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.grounder import reach_loss
-from lemma.policies.models.reachnet.perception import (
-    Marks,
-    Perception,
-    PerceptionConfig,
-)
+from lemma.policies.models.reachnet.perception import Marks, PerceptionConfig
 from lemma.policies.models.reachnet.scene_table import (
     Noise,
     SceneTable,
@@ -36,6 +32,7 @@ from lemma.policies.models.reachnet.scene_table import (
 )
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
 from lemma.policies.models.team_reachnet.orders import next_orders
+from lemma.policies.models.team_reachnet.perception import TeamPerception
 from lemma.policies.models.team_reachnet.planner import (
     TeamPlanner,
     TeamPlannerConfig,
@@ -43,18 +40,18 @@ from lemma.policies.models.team_reachnet.planner import (
     number_of,
 )
 from lemma.policies.models.team_reachnet.reader import (
+    RULES,
     Reading,
     TeamReader,
     Wanted,
     named_entities,
-    order_of_parts,
+    rule_of_times,
     wanted_of,
 )
 from lemma.policies.models.team_reachnet.table import (
     TeamTable,
     recalled,
     remembered,
-    team_table,
     true_table,
 )
 from lemma.policies.models.team_reachnet.teams import (
@@ -64,6 +61,7 @@ from lemma.policies.models.team_reachnet.teams import (
     distinct,
     move_named,
     move_numbers,
+    named_colors,
     numbers_by_color,
     numbers_of,
     weak_hands,
@@ -71,7 +69,7 @@ from lemma.policies.models.team_reachnet.teams import (
 from lemma.policies.text.encoder import Sentences
 from lemma.policies.together.interfaces import Orders, TeamInput
 from lemma.tasks.subtask import STOP, Primitive, SubTask
-from lemma.tasks.teams.rule import Rule
+from lemma.tasks.teams.rule import Rule, Together
 
 _REACH_POINTS = 128
 _LOUDEST = 25.0
@@ -122,7 +120,7 @@ class TeamReachNet(MapModel):
         config = config or TeamReachNetConfig()
         named = EntitySet.of(config.entities)
         self.config = replace(config, entities=named.names)
-        self.eye = Perception(config.eye, ROBOTS, named)
+        self.eye = TeamPerception(config.eye, named)
         self.reader = TeamReader(config.reader, named)
         self.planner = TeamPlanner(config.planner)
         self._views: WeakKeyDictionary[View, tuple[Marks, Tensor, Batch]]
@@ -150,6 +148,7 @@ class TeamReachNet(MapModel):
             **{f"wanted_{name}": tensor for name, tensor in wanted._asdict().items()},
             "move": torch.tensor(moves, device=device),
             "robot": numbers_by_color(teams, device),
+            "color": named_colors(labels.robot_colors, device),
             "weak": weak_hands(labels.hands, teams, device),
         }
 
@@ -161,25 +160,30 @@ class TeamReachNet(MapModel):
         marks, coarse = self.eye(batch)
         wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
         team, weak = tensors["robot"] >= 0, tensors["weak"]
-        there = labels.objects[..., 0].isfinite()
-        read = self.reader.understand(Sentences(*tensors["words"]), there)
-        terms = self.reader.reading_loss(read, wanted)
         with torch.autocast(self.device.type, enabled=False):
             seen = self.eye.reach(coarse, batch, labels.bases[..., :2])
             known = torch.where(
                 team[..., None], true_radii(labels.arms, self.device), seen.detach()
             )
             scene = true_scene(labels, seen, batch.raster, batch.entities)
-            terms |= self.eye.losses(marks, scene, batch)
+            terms = self.eye.losses(marks, scene, batch)
             terms["reach"] = self._reach_loss(scene, known, batch)
-            truth = true_table(
-                labels.objects, labels.bases, known, team, weak, batch.entities
+            truth = true_table(labels, known, team, weak, batch.entities)
+            terms["heavy"] = self.eye.weight_loss(
+                marks, truth.there, truth.xy, labels.heavy, batch
             )
             with torch.no_grad():
-                found = self.eye.table(marks, coarse, batch)
-                perceived = remembered(team_table(found, team, weak), truth)
+                found = self.eye.look(marks, coarse, batch, team, weak)
+                perceived = remembered(found, truth)
+        # Demonstrations of this rule have keyframes with arms at work.
+        at_rest = (wanted.rule != RULES.index(Together.kind)) | (labels.keyframe == 0)
+        read = self.reader.understand(
+            Sentences(*tensors["words"]), truth, tensors["color"]
+        )
+        terms |= self.reader.reading_loss(read, wanted)
+        with torch.autocast(self.device.type, enabled=False):
             terms["plan"] = self._plan_loss(
-                truth, perceived, read, wanted, tensors["move"]
+                truth, perceived, read, wanted, tensors["move"], at_rest
             )
         return terms
 
@@ -196,6 +200,7 @@ class TeamReachNet(MapModel):
         read: Reading,
         wanted: Wanted,
         move: Tensor,
+        at_rest: Tensor,
     ) -> Tensor:
         """Return the planner's loss in noisy true scenes and in perceived ones."""
         said = wanted.shares(truth.entities.stick)
@@ -220,6 +225,7 @@ class TeamReachNet(MapModel):
         asked = (move[:, 1:] >= 0) & (move[:, 1:] < len(truth.entities))
         counts = (seen.there.gather(1, named) | ~asked).all(1)
         able = torch.cat([counts, *[torch.ones_like(counts)] * self.config.draws])
+        able &= at_rest.repeat(1 + self.config.draws)
         return torch.where(able, wrong, 0.0).sum() / able.sum().clamp(min=1)
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
@@ -229,18 +235,15 @@ class TeamReachNet(MapModel):
         assert labels is not None
         wanted = Wanted(*(tensors[f"wanted_{name}"] for name in Wanted._fields))
         with self.deciding(), torch.autocast(self.device.type, enabled=False):
-            there = labels.objects[..., 0].isfinite()
-            read = self.reader.understand(Sentences(*tensors["words"]), there)
             team, weak = tensors["robot"] >= 0, tensors["weak"]
-            truth = true_table(
-                labels.objects,
-                labels.bases,
-                true_radii(labels.arms, self.device),
-                team,
-                weak,
-                batch.entities,
+            radii = true_radii(labels.arms, self.device)
+            truth = true_table(labels, radii, team, weak, batch.entities)
+            read = self.reader.understand(
+                Sentences(*tensors["words"]), truth, tensors["color"]
             )
-            seen = remembered(team_table(self.eye.see(batch), team, weak), truth)
+            marks, coarse = self.eye(batch)
+            found = self.eye.look(marks, coarse, batch, team, weak)
+            seen = remembered(found, truth)
             cargo, targets = truth.entities.cargo, truth.entities.stick
             number = number_of(tensors["move"], cargo, targets)
             shares = read.shares()
@@ -308,9 +311,10 @@ class TeamReachNet(MapModel):
             view: The view to plan from.
             most: Largest number of sub-tasks; the last one may be ``stop``.
         """
-        team = distinct([name.split()[-2] for name in given.robots])
+        colors = [name.split()[-2] for name in given.robots]
+        team = distinct(colors)
         with self.deciding():
-            table, read = self._look(given, view, team)
+            table, read = self._look(given, view, colors)
             cargo, targets = self.entities.cargo, self.entities.stick
             steps: list[SubTask] = []
             cost = self._costs(given, team)
@@ -324,25 +328,27 @@ class TeamReachNet(MapModel):
                 again = torch.cat([colors, move[:, 1:].expand(ROBOTS, -1)], 1)
                 if steps[-1] != STOP:
                     cost[number_of(again, cargo, targets)] = _LOUDEST
-        return steps, order_of_parts(read, self.entities)
+        return steps, rule_of_times(read, self.entities)
 
     def _look(
-        self, given: PolicyInput, view: View, team: tuple[str, ...]
+        self, given: PolicyInput, view: View, colors: Sequence[str]
     ) -> tuple[TeamTable, Reading]:
         """Return the scene in a view, and the reading of the instruction."""
+        team = distinct(colors)
         first = given.past[0].view if given.past else given.view
         there = numbers_by_color([team], self.device) >= 0
         weak = weak_hands([given.hands], [team], self.device)
         words = self.reader.sentences.read([given.instruction], self.device)
         seen = self._seen(replace(given, view=first), team)
-        present = self.eye.table(*seen).present
-        read = self.reader.understand(words, present, _UNSEEN).shares()
+        start = self.eye.look(*seen, there, weak)
+        said = named_colors([colors], self.device)
+        read = self.reader.understand(words, start, said, _UNSEEN).shares()
         named = named_entities(read, self.entities)
-        start = team_table(self.eye.table(*seen, named), there, weak)
+        start = self.eye.look(*seen, there, weak, named)
         if view is first:
             return start, read
         seen = self._seen(replace(given, view=view), team)
-        now = team_table(self.eye.table(*seen), there, weak)
+        now = self.eye.look(*seen, there, weak)
         memory = start
         for step in given.past:
             if step.outcome == _SUCCESS and step.subtask.primitive == Primitive.MOVE:

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 from lemma.policies.models.team_reachnet.teams import REGIONS
 from lemma.tasks.subtask import SubTask
-from lemma.tasks.teams.dependencies import predecessors
+from lemma.tasks.teams.dependencies import meetings, predecessors
 from lemma.tasks.teams.rule import Rule
 
 
@@ -19,8 +19,9 @@ def next_orders(
 
     A robot gets its first sub-task that needs nothing more. If there is none, it gets
     the first one whose predecessors have all been ordered: it waits for their effects,
-    as far as these concern objects that it touches. An order of parts of the goal is
-    not visible in objects, so there the predecessor must have ended.
+    as far as these concern objects that it touches. A rule about parts of the goal is
+    not visible in objects: where one comes after another, that one must have ended, and
+    where two come at the same time, both are ordered at once when nothing else is left.
 
     Args:
         steps: The plan.
@@ -30,6 +31,12 @@ def next_orders(
         rule: The rule of the goal.
     """
     needs = [set(found) for found in predecessors(steps, REGIONS, rule)]
+    meet = set(meetings(steps, rule))
+    apart = {steps[k].robot for k in meet}
+    if meet and meet <= {*todo} and len(apart) == len(meet):
+        if all(one in ended for k, one in enumerate(steps) if k not in meet):
+            return sorted(meet) if apart <= {*free} else []
+        todo = [k for k in todo if k not in meet]
     late = [k for k in todo if any(steps[i] not in ended for i in needs[k])]
     waiting, robots, orders = set(todo), set(free), list[int]()
     for k in (*(k for k in todo if k not in late), *late):

@@ -28,7 +28,7 @@ from lemma.policies.models.team_reachnet.teams import (
 _ABSENT = -20.0
 _DISTANCES_M = (0.0, 0.05, 0.12, 0.25, 0.5, 1.0)
 _UNIT_M = 0.05
-_ENTITY, _ROBOT, _REGION = 13, 8, 4
+_ENTITY, _ROBOT, _REGION = 14, 8, 4
 _OBJECTS, _REACH, _TEAM, _PLACE = len(_DISTANCES_M) + 6, 3, 3, 3
 RELATIONS = _OBJECTS + _REACH + _TEAM + _PLACE
 
@@ -148,6 +148,9 @@ class TeamPlanner(nn.Module):
         place = torch.cat([place, region], 2)
         same = torch.eye(cargo, place.shape[2], device=place.device) * _ABSENT
         robot = _ABSENT * (~table.team).float()[:, :, None, None]
+        # A weak hand does not lift a heavy thing.
+        able = 1.0 - table.weak[..., None].float() * table.heavy[:, None, :cargo]
+        pick = pick + _log(able)
         found: Tensor = pick[..., None] + place[:, :, None] + same + robot
         return found
 
@@ -220,6 +223,7 @@ def _entities(table: TeamTable, read: Reading) -> Tensor:
         table.clear[..., None].float(),
         torch.where(table.there[..., None], table.xy, 0.0),
         (table.rise / _UNIT_M)[..., None],
+        table.heavy[..., None],
         F.pad(tops, (0, 0, 0, count - cargo)),
         F.pad(bottoms, (0, 0, 0, count - targets)),
     ]

@@ -1,9 +1,11 @@
 """Reading for teams: any number of (top, bottom) pairs, and a rule.
 
 Each movable entity has a distribution over what it shall lie on, or nothing. The rule
-has a kind, and the entities or the robot that it names.
+has a kind, and the entities or the robot that it names. Words mean things by their
+color, or by their place in the scene that is seen.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,19 +18,28 @@ from lemma.core.robot_names import robot_number
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import EntitySet
 from lemma.policies.models.reachnet.goal_reader import GoalReader, ReaderConfig
+from lemma.policies.models.team_reachnet.places import BY_ONE, BY_ORDER, places_in
+from lemma.policies.models.team_reachnet.table import TeamTable
 from lemma.policies.models.team_reachnet.teams import ROBOTS
-from lemma.policies.text.encoder import Sentences, groups_of
+from lemma.policies.text.encoder import NO_NAME, Sentences, groups_of
 from lemma.scene.spec import ROBOT_COLORS
+from lemma.tasks.language.bank import ORDINALS
+from lemma.tasks.language.relational import ROBOT
 from lemma.tasks.language.template import GoalPairs
-from lemma.tasks.teams.rule import After, Rule
+from lemma.tasks.teams.rule import After, Rule, Together
 
-RULES = ("", "after", "without", "but")
+RULES = ("", "after", "without", "but", "together")
 """No rule, and the kinds of rules."""
 ROLES = ("later", "first", "kept")
 """Roles of movable entities in rules: the top of the later pair, the top of the pair
 that comes first, and the one that must not be touched."""
-_MENTIONS = 16
 _NEVER = -30.0
+_FAR = 24
+"""Largest distance of an anchor from its word; larger ones are clipped."""
+_NAMED = 3
+"""Number of ways to mean what a word names: it alone, or the left or right one."""
+_SCALE = 10.0
+"""Ratio of the learning rate of position biases to that of other weights."""
 
 
 class Reading(NamedTuple):
@@ -47,7 +58,7 @@ class Reading(NamedTuple):
     def shares(self) -> "Reading":
         """Return logits as shares; those of roles only for the rules that have them."""
         rule = self.rule.float().softmax(-1)
-        after, without, but = rule[:, 1:].unbind(1)
+        after, without, but, _ = rule[:, 1:].unbind(1)
         roles = self.roles.float().softmax(-1)
         has = torch.stack([after, after, but], 1)
         return Reading(
@@ -127,7 +138,8 @@ def wanted_of(
 class TeamReader(GoalReader):
     """A network from sentences to goals with rules."""
 
-    robots: Tensor
+    robot_words: Tensor
+    thing_kinds: Tensor
     alike_colors: Tensor
 
     def __init__(self, config: ReaderConfig, entities: EntitySet) -> None:
@@ -139,13 +151,25 @@ class TeamReader(GoalReader):
         """
         super().__init__(config, entities)
         width = config.width
+        names = [kind.name for kind in entities.kinds[: self.targets]]
+        names += [ROBOT] * ROBOTS
+        distinct = list(dict.fromkeys(names))
+        self.kind = nn.Linear(width, len(distinct))
+        self.relation = nn.Linear(width, _NAMED + BY_ONE + 1 + BY_ORDER)
+        self.asks = nn.Linear(width, 2 * width)
+        self.answers = nn.Linear(width, width)
+        self.ahead = nn.Parameter(torch.zeros(2, 2 * _FAR + 1))
         self.rule = nn.Linear(width, len(RULES))
         self.own_color = nn.Linear(width, 1)
         self.role = nn.Linear(width, len(ROLES) + 1)
+        # At first words mean what they name, and no goal is about own colors.
         nn.init.constant_(self.own_color.bias, -4.0)
+        nn.init.constant_(self.relation.bias[:1], 3.0)
         groups, words = groups_of(entities)
-        robots = torch.tensor([words.get(color, NOBODY) for color in ROBOT_COLORS])
-        self.register_buffer("robots", robots, persistent=False)
+        colors = [words.get(color, NOBODY) for color in ROBOT_COLORS]
+        self.register_buffer("robot_words", torch.tensor(colors), persistent=False)
+        kinds = torch.tensor([distinct.index(name) for name in names])
+        self.register_buffer("thing_kinds", kinds, persistent=False)
         # By Python, because arithmetic without numbers loads torch's compiler.
         alike = [
             [one == other and k >= self.cargo for k, other in enumerate(groups)]
@@ -154,34 +178,106 @@ class TeamReader(GoalReader):
         self.register_buffer("alike_colors", torch.tensor(alike), persistent=False)
 
     def understand(
-        self, sentences: Sentences, there: Tensor, absent: float = _NEVER
+        self,
+        sentences: Sentences,
+        table: TeamTable,
+        colors: Tensor,
+        absent: float = _NEVER,
     ) -> Reading:
         """Return the readings of sentences, as logits.
 
         Args:
             sentences: B sentences.
-            there: Entities on the table, (B, E) bool.
+            table: The scenes that they are about.
+            colors: Color by which each robot is named, (B, R).
             absent: Change of the logit of a pair if one of its entities is not there.
         """
-        found = self.mentions(sentences, _MENTIONS)
-        meant = found.group[:, :, None] == self.group
-        roles = self.role(found.said).float().transpose(1, 2)
-        of_robots = found.group[:, :, None] == self.robots
-        cargo = meant[:, :, : self.cargo]
-        held = _of_mentions(roles[:, :-1, :, None], cargo[:, None])
-        excluded = _of_mentions(roles[:, -1, :, None], of_robots)
-        pairs = self.pairs(found.said, meant)
+        tokens, whole = self._encoded(sentences)
+        roles = self.role(tokens).float().transpose(1, 2)
+        rule, own = self.rule(whole).float(), self.own_color(whole).float()
+        with torch.autocast(tokens.device.type, enabled=False):
+            meant = self._meant(sentences, tokens.float(), table, colors)
+            logs = meant.clamp(min=math.exp(_NEVER)).log().transpose(1, 2)
+            entities, robots = logs[:, : self.cargo], logs[:, self.targets :]
+            held = (roles[:, :-1, None] + entities[:, None]).logsumexp(-1)
+            excluded = (roles[:, -1, None] + robots).logsumexp(-1)
+            pairs = self._pairs(tokens.float(), meant)
+        there = table.there
         both = there[:, : self.cargo, None] & there[:, None, : self.targets]
         # "Every cube to the pad of its color, but not the red one": of those seen.
         kept = held[:, 2:3].transpose(1, 2)
-        own = self.own_color(found.whole).float()[..., None] - F.softplus(kept)
+        own = own[..., None] - F.softplus(kept)
         own = torch.where(self.alike_colors & both, own, _NEVER)
         pairs = torch.logaddexp(pairs + absent * ~both, own)
         itself = torch.eye(*pairs.shape[1:], dtype=torch.bool, device=pairs.device)
         pairs = pairs.masked_fill(itself, _NEVER)
         nothing = torch.zeros_like(pairs[..., :1])
-        bottoms = torch.cat([pairs, nothing], -1)
-        return Reading(bottoms, self.rule(found.whole).float(), held, excluded)
+        return Reading(torch.cat([pairs, nothing], -1), rule, held, excluded)
+
+    def _meant(
+        self, sentences: Sentences, tokens: Tensor, table: TeamTable, colors: Tensor
+    ) -> Tensor:
+        """Return the probability that each word means each thing, (B, L, N).
+
+        A word that names a color means the things of that color; any word may mean the
+        thing at a place, such as the noun in "the cube nearest to the red robot".
+        """
+        groups = self.group.expand(len(tokens), -1)
+        groups = torch.cat([groups, self.robot_words[colors]], 1)
+        is_name = (sentences.names != NO_NAME)[..., None]
+        named = ((sentences.names[..., None] == groups[:, None]) & is_name).float()
+        kind = self.kind(tokens).softmax(-1)[:, :, self.thing_kinds]
+        kind = kind * sentences.mask[:, :, None]
+        shares = self.relation(tokens).softmax(-1)
+        name, by_one, between, order = shares.split([_NAMED, BY_ONE, 1, BY_ORDER], -1)
+        places = places_in(table, self.thing_kinds)
+        # Two robots of one color are the left and the right one.
+        ends = places.by_order[:, :: len(ORDINALS)]
+        which = name[..., :1] + torch.einsum("blr,brn->bln", name[..., 1:], ends)
+        found = named * which
+        one, two = (self._anchors(sentences, tokens) @ (kind * found)[:, None]).unbind(
+            1
+        )
+        found = found + torch.einsum("blr,bla,brna->bln", by_one, one, places.by_one)
+        both = torch.einsum("bla,bnac->blnc", one, places.by_two)
+        found = found + between * torch.einsum("blnc,blc->bln", both, two)
+        found = found + torch.einsum("blr,brn->bln", order, places.by_order)
+        meant: Tensor = kind * found
+        return meant
+
+    def _anchors(self, sentences: Sentences, tokens: Tensor) -> Tensor:
+        """Return to which names each word refers, as its first and its second anchor.
+
+        Returns:
+            Shares of all words, (B, 2, L, L).
+        """
+        count, length, width = tokens.shape
+        asked = self.asks(tokens).view(count, length, 2, -1).transpose(1, 2)
+        fit = asked @ self.answers(tokens).transpose(1, 2)[:, None] / width**0.5
+        place = torch.arange(length, device=tokens.device)
+        away = (place - place[:, None]).clamp(-_FAR, _FAR) + _FAR
+        fit = fit + _SCALE * self.ahead[:, away]
+        is_name = sentences.names != NO_NAME
+        found: Tensor = fit.masked_fill(~is_name[:, None, None], _NEVER).softmax(-1)
+        return found
+
+    def _pairs(self, tokens: Tensor, meant: Tensor) -> Tensor:
+        """Return the score of each (top, bottom) pair, (B, C, T).
+
+        Args:
+            tokens: Words, (B, L, width).
+            meant: Probabilities of what they mean, (B, L, N).
+        """
+        top, bottom = self.top(tokens), self.bottom(tokens)
+        fit = top @ bottom.transpose(1, 2) / top.shape[-1] ** 0.5
+        # One mention cannot be both, but two mentions may have the same color.
+        same = torch.eye(tokens.shape[1], dtype=torch.bool, device=tokens.device)
+        fit = fit.masked_fill(same, 2 * _NEVER)
+        most = fit.amax((1, 2), keepdim=True)
+        share = meant[..., : self.cargo].transpose(1, 2) @ (fit - most).exp()
+        share = share @ meant[..., : self.targets]
+        found: Tensor = share.clamp(min=math.exp(2 * _NEVER)).log() + most
+        return found
 
     def reading_loss(self, read: Reading, wanted: Wanted) -> dict[str, Tensor]:
         """Return the losses of logits by name."""
@@ -200,35 +296,29 @@ class TeamReader(GoalReader):
         }
 
 
-def _of_mentions(scores: Tensor, meant: Tensor) -> Tensor:
-    """Return the score of each thing: the sum over the mentions that may name it.
-
-    Args:
-        scores: Of mentions, (..., M, 1).
-        meant: Whether a mention may name a thing, (..., M, N) bool.
-    """
-    kept = torch.where(meant, scores, _NEVER)
-    found: Tensor = kept.logsumexp(-2).clamp(min=_NEVER)
-    return found
-
-
 def _named(logits: Tensor, wanted: Tensor) -> Tensor:
     """Return the mean loss of the rows with a wanted number, divided by all rows."""
     lost = F.cross_entropy(logits, wanted.clamp(min=0), reduction="none")
     return torch.where(wanted >= 0, lost, 0.0).sum() / max(1, len(wanted))
 
 
-def order_of_parts(read: Reading, entities: EntitySet) -> Rule | None:
-    """Return the rule of one reading if it orders two parts of a goal."""
-    if RULES[int(read.rule[0].argmax())] != After.kind:
+def rule_of_times(read: Reading, entities: EntitySet) -> Rule | None:
+    """Return the rule of one reading if it is about the times of two parts of a goal.
+
+    Such a rule is not visible in objects, so it decides when orders are given.
+    """
+    kind, targets = RULES[int(read.rule[0].argmax())], entities.stick
+    if kind == After.kind:
+        tops = read.roles[0, : len(ROLES) - 1].argmax(-1)
+    elif kind == Together.kind:
+        tops = read.bottoms[0, :, targets].topk(2, largest=False).indices
+    else:
         return None
-    tops = read.roles[0, : len(ROLES) - 1].argmax(-1).tolist()
-    targets = entities.stick
     names = []
-    for top in tops:
+    for top in tops.tolist():
         bottom = int(read.bottoms[0, top, :targets].argmax())
         names += [entities.names[top], entities.names[bottom]]
-    return After(*names)
+    return (After if kind == After.kind else Together)(*names)
 
 
 def named_entities(read: Reading, entities: EntitySet) -> Tensor:

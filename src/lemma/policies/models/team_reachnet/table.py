@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from lemma.policies.batch import Labels
 from lemma.policies.entities import EntitySet, Traits, traits_of
 from lemma.policies.layers import constant
 from lemma.policies.models.reachnet.scene_table import (
@@ -39,6 +40,8 @@ class TeamTable:
     """Whether there is a robot of each color, (B, R) bool."""
     weak: Tensor
     """Whether it has another hand than the standard one, (B, R) bool."""
+    heavy: Tensor
+    """Probability that entities are too heavy for such a hand, (B, E)."""
     bases: Tensor
     """Positions of the bases [m], (B, R, 2); ``FAR_M`` for absent robots."""
     radii: Tensor
@@ -172,6 +175,8 @@ _TENSORS = tuple(f.name for f in fields(TeamTable) if f.type is Tensor)
 def team_table(scene: SceneTable, team: Tensor, weak: Tensor) -> TeamTable:
     """Return perceived scenes; entities that are not seen are not on the table.
 
+    None is heavy.
+
     Args:
         scene: Scenes with robots by color.
         team: Whether there is a robot of each color, (B, R) bool.
@@ -187,6 +192,7 @@ def team_table(scene: SceneTable, team: Tensor, weak: Tensor) -> TeamTable:
         clear=scene.present,
         team=team,
         weak=weak,
+        heavy=torch.zeros_like(scene.top),
         bases=torch.where(team[..., None], scene.bases, FAR_M),
         radii=scene.radii,
         entities=scene.entities,
@@ -194,23 +200,18 @@ def team_table(scene: SceneTable, team: Tensor, weak: Tensor) -> TeamTable:
 
 
 def true_table(
-    objects: Tensor,
-    bases: Tensor,
-    radii: Tensor,
-    team: Tensor,
-    weak: Tensor,
-    entities: EntitySet,
+    labels: Labels, radii: Tensor, team: Tensor, weak: Tensor, entities: EntitySet
 ) -> TeamTable:
     """Return true scenes.
 
     Args:
-        objects: Position [m] and quaternion of each entity, (B, E, 7); NaN if none.
-        bases: x, y [m], yaw of each color's robot, (B, R, 3).
+        labels: True poses, with rows of robots by color.
         radii: Radii of reach [m], (B, R, 3).
         team: Whether there is a robot of each color, (B, R) bool.
         weak: Whether it has another hand than the standard one, (B, R) bool.
         entities: Entities, in the order of their numbers.
     """
+    objects = labels.objects
     traits, there = traits_of(entities, team.device), objects[..., 0].isfinite()
     xyz = torch.where(there[..., None], objects[..., :3], FAR_M)
     top_m = xyz[..., 2] + traits.top_m
@@ -222,7 +223,8 @@ def true_table(
         clear=there & ~covered(xyz, top_m, traits, entities.cargo),
         team=team,
         weak=weak,
-        bases=torch.where(team[..., None], bases[..., :2], FAR_M),
+        heavy=labels.heavy.float(),
+        bases=torch.where(team[..., None], labels.bases[..., :2], FAR_M),
         radii=radii,
         entities=entities,
     )
@@ -252,5 +254,6 @@ def recalled(now: TeamTable, memory: TeamTable) -> TeamTable:
         there=now.there | hidden,
         xy=torch.where(hidden[..., None], memory.xy, now.xy),
         rise=torch.where(hidden, memory.rise, now.rise),
+        heavy=torch.where(hidden, memory.heavy, now.heavy),
         clear=now.clear & ~hidden,
     )

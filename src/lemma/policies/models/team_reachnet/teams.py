@@ -68,6 +68,22 @@ def numbers_by_color(teams: Sequence[Sequence[str]], device: torch.device) -> Te
     return torch.tensor(rows, device=device)
 
 
+def named_colors(named: Sequence[Sequence[str]], device: torch.device) -> Tensor:
+    """Return the color by which each color's robot is named, (B, R).
+
+    Args:
+        named: Colors of the robots of each scene, which may repeat in a pair.
+        device: Device of the result.
+    """
+    rows = []
+    for colors in named:
+        row = list(range(ROBOTS))
+        for own, color in zip(distinct(colors), colors, strict=True):
+            row[ROBOT_COLORS.index(own)] = ROBOT_COLORS.index(color)
+        rows.append(row)
+    return torch.tensor(rows, device=device)
+
+
 def by_color(rows: Tensor, numbers: Tensor, fill: float = 0.0) -> Tensor:
     """Return rows of robots (B, N, ...) by color, (B, R, ...).
 
