@@ -6,10 +6,17 @@ import torch
 from tiers import slow_but
 
 from lemma.core.seeding import stream
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.text import paraphrase as paraphrases
-from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
+from lemma.policies.text.encoder import (
+    SentenceReader,
+    TextConfig,
+    TextEncoder,
+    TextKind,
+)
 from lemma.policies.text.grammar import grammar
 from lemma.policies.text.paraphrase import CHANCES, paraphrase
+from lemma.policies.text.rules import say_rule_anew, wordings
 from lemma.policies.text.words import (
     UNKNOWN,
     Vocabulary,
@@ -17,8 +24,9 @@ from lemma.policies.text.words import (
     neighbours,
     word_vectors,
 )
-from lemma.tasks.language.bank import templates, vocabulary, words
+from lemma.tasks.language.bank import rule_templates, templates, vocabulary, words
 from lemma.tasks.suite import SUITE, load_instance
+from lemma.tasks.teams.rule import RULES, After, But, Rule, Together, Without
 
 SENTENCE = "Place the red cube on top of the blue pad"
 OTHER = "Place the white cube on top of the red pad"
@@ -194,6 +202,41 @@ def test_no_paraphrase_is_a_held_out_sentence(task: str) -> None:
     said = {tuple(words(paraphrase(task, goal, rng))) for _ in range(2000)}
     assert len(said) > 1500
     assert not said & held_out
+
+
+RULES_SAID: dict[str, Rule] = {
+    "after": After("white_cube", "red_pad", "red_cube", "blue_pad"),
+    "without": Without("robot_1"),
+    "but": But("green_cube"),
+    "together": Together("white_cube", "red_pad", "red_cube", "blue_pad"),
+}
+
+
+@pytest.mark.parametrize("kind", RULES)
+def test_rules_are_worded_in_many_ways_and_in_no_held_out_one(kind: str) -> None:
+    rule, robots = RULES_SAID[kind], ("blue robot", "green robot")
+    rng = stream("test", "rules", kind)
+    told = {say_rule_anew(rule, TWO_GOALS, SENTENCE, robots, rng) for _ in range(900)}
+    assert len(told) == len(wordings()[kind])
+    assert all(SENTENCE in text and "{" not in text for text in told)
+    if kind in ("without", "but"):
+        assert all("green" in text for text in told)
+    unseen = rule_templates(kind, "unseen")
+    held_out = {one.format(goal=f"{SENTENCE}.", **rule.words(robots)) for one in unseen}
+    assert held_out
+    assert not told & held_out
+    matching = (("red_cube", "red_pad"), ("white_cube", "white_pad"))
+    whole = {say_rule_anew(rule, matching, "-", robots, rng) for _ in range(900)}
+    assert any("-." not in text for text in whole) == (kind == "but")
+
+
+def test_leftmost_and_rightmost_are_told_apart() -> None:
+    reader = SentenceReader(8, BENCHMARK)
+    left, right = reader.read(["leftmost", "rightmost"], torch.device("cpu")).numbers
+    assert left[1] == right[1]
+    assert left[0] != right[0]
+    # A word that is known stays whole.
+    assert reader.read(["topmost"], torch.device("cpu")).mask.sum() == 1
 
 
 def test_paraphrases_are_the_same_for_the_same_stream() -> None:

@@ -83,10 +83,6 @@ class Frames:
             [[_ARMS.index(n) for n in s.split("+")] for s in columns["arms"]]
         )
         keyframe = self._tensor(columns["keyframe"], torch.int64)
-        heavy = [
-            [name in i.get("masses_kg", ()) for name in entities.names]
-            for i in instances
-        ]
         gaps = [instance.get("gap_m") or (np.nan, np.nan) for instance in instances]
         self._tensors = {
             "episode": torch.cumsum((keyframe == 0).long(), 0) - 1,
@@ -96,7 +92,7 @@ class Frames:
             "arms": self._tensor(arms, torch.int64),
             "objects": self._tensor(columns["objects"], torch.float32),
             "gap_m": self._tensor(gaps, torch.float32),
-            "heavy": self._tensor(heavy, torch.bool),
+            "heavy": self._tensor(_heavy(instances, entities), torch.bool),
             "perturbed": self._tensor([perturbed] * len(decisions), torch.bool),
             **{
                 name: self._tensor(_padded(columns[name]), torch.float32)
@@ -205,6 +201,13 @@ class Frames:
 
     def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+
+
+def _heavy(
+    instances: Sequence[dict[str, Any]], entities: EntitySet
+) -> list[list[bool]]:
+    masses: list[dict[str, float]] = [one.get("masses_kg", {}) for one in instances]
+    return [[name in heavy for name in entities.names] for heavy in masses]
 
 
 def _padded(rows: Sequence[Any]) -> NDArray[Any]:

@@ -76,10 +76,10 @@ def test_the_rules_hand_over(task: str) -> None:
     assert all(row["success"] for row in result.rows)
 
 
-@pytest.mark.slow
-def test_the_network_that_ships_builds_stacks() -> None:
-    policy = TeamPolicy(str(Path(__file__).parents[3] / "weights" / "team_stack.pt"))
+@pytest.mark.parametrize("task", slow_but(["pass", "stack"]))
+def test_the_network_that_ships_hands_over(task: str) -> None:
+    policy = TeamPolicy(str(Path(__file__).parents[3] / "weights" / "team_hands.pt"))
     result = lemma.evaluate(
-        policy, level="control", tasks=("stack",), split="val", episodes=3, workers=1
+        policy, level="control", tasks=(task,), split="val", episodes=3, workers=1
     )
     assert sum(row["success"] for row in result.rows) >= 2

@@ -20,10 +20,6 @@ from lemma.policies.models.team_reachnet.model import (
 from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.planner import move_of, number_of
 from lemma.policies.models.team_reachnet.reader import (
-    RULES,
-    Reading,
-    named_entities,
-    rule_of_times,
     wanted_of,
 )
 from lemma.policies.models.team_reachnet.table import (
@@ -217,35 +213,6 @@ def test_hidden_pads_are_remembered() -> None:
     assert not found.clear[0, pad]
 
 
-def test_rules_as_numbers() -> None:
-    goals = [(("red_cube", "blue_pad"), ("white_cube", "red_cube"))] * 5
-    rules = [
-        (),
-        ("after", "white_cube", "red_cube", "red_cube", "blue_pad"),
-        ("without", "robot_1"),
-        ("but", "green_cube"),
-        ("together", "red_cube", "blue_pad", "white_cube", "red_cube"),
-    ]
-    device = torch.device("cpu")
-    wanted = wanted_of(goals, rules, [TEAM] * 5, ENTITIES, device)
-    number = ENTITIES.number
-    assert [RULES[i] for i in wanted.rule] == ["", *(one[0] for one in rules[1:])]
-    assert wanted.bottoms[0, number("red_cube")] == number("blue_pad")
-    assert wanted.roles[1].tolist() == [number("white_cube"), number("red_cube"), -1]
-    assert wanted.roles[3].tolist() == [-1, -1, number("green_cube")]
-    assert wanted.excluded.tolist() == [-1, -1, ROBOT_COLORS.index("red"), -1, -1]
-    shares = wanted.shares(TARGETS)
-    assert torch.all(shares.bottoms.sum(-1) == 1)
-    assert shares.roles.sum((1, 2)).tolist() == [0, 2, 0, 1, 0]
-    read = [Reading(*(part[i : i + 1] for part in shares)) for i in range(5)]
-    timed = [rule_of_times(one, ENTITIES) for one in read]
-    assert [rule and rule.kind for rule in timed] == [
-        *(None, "after", None, None, "together")
-    ]
-    assert timed[4] is not None
-    assert {*timed[4].pairs} == {*goals[4]}
-
-
 def test_each_robot_gets_its_part_as_soon_as_what_it_needs_is_ordered(
     planned: TeamReachNet,
 ) -> None:
@@ -372,11 +339,3 @@ def test_hidden_cubes_are_remembered_where_they_were_put() -> None:
     assert found.there[0, white]
     assert found.on()[0, red, white]
     assert not found.clear[0, white]
-
-
-def test_named_things_are_those_of_the_goal() -> None:
-    goal = (("red_cube", "red_pad"), ("white_cube", "red_cube"))
-    wanted = wanted_of([goal], [()], [TEAM], ENTITIES, torch.device("cpu"))
-    named = named_entities(wanted.shares(TARGETS), ENTITIES)
-    names = {ENTITIES.names[k] for k in torch.nonzero(named[0]).flatten().tolist()}
-    assert names == {"red_cube", "red_pad", "white_cube"}

@@ -34,6 +34,7 @@ _MARKS = {
 _ARROW, _BACK = 4, 5
 _KINDS_OF_MARKS = 6
 _REMEMBERED = 100_000
+_MOST = "most"
 
 
 class Sentences(NamedTuple):
@@ -126,10 +127,16 @@ class SentenceReader:
                 mark = _MARKS.get(piece, _BACK if back else _ARROW)
                 yield len(self.vocabulary) + mark, 0, NO_NAME
                 continue
-            words = [piece] if piece in self.groups else self.vocabulary.read(piece)
+            words = [piece] if piece in self.groups else self._parts(piece)
             for word in words:
                 group = self.groups.get(word)
                 yield self._word(word) if group is None else (self.name, 0, group)
+
+    def _parts(self, piece: str) -> Sequence[str]:
+        """Return the words of a piece; "leftmost", which has no vector, is two."""
+        found, stem = self.vocabulary.read(piece), piece.removesuffix(_MOST)
+        known = any(self._word(word)[:2] != (UNKNOWN, 0) for word in found)
+        return found if known or stem in ("", piece) else (stem, _MOST)
 
     def _word(self, word: str) -> tuple[int, int, int]:
         return self.vocabulary.number(word), word_vectors().row(word), NO_NAME

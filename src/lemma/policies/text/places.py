@@ -1,5 +1,8 @@
 """Relational sentences about the frames of labelled batches."""
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from lemma.core.poses import Pose2
@@ -10,28 +13,30 @@ from lemma.tasks.language.relational import say_of, things_at
 from lemma.tasks.teams.rule import rule_from
 
 
-def relational_in(batch: Batch, row: int, rng: np.random.Generator) -> str:
-    """Draw a relational sentence for the goal of a frame, about the scene in it.
+def relational_in(
+    batch: Batch, rows: Sequence[int], rng: np.random.Generator
+) -> list[str]:
+    """Draw relational sentences for the goals of frames, about the scenes in them.
 
     Args:
         batch: Batch with labels.
-        row: Number of the frame.
+        rows: Numbers of the frames.
         rng: Random generator.
     """
     labels = batch.labels
     assert labels is not None
-    bases = labels.bases[row].tolist()
-    robots = [
-        RobotPlacement("ur5", color, Pose2(*base))
-        for color, base in zip(labels.robot_colors[row], bases, strict=False)
-    ]
-    poses = labels.objects[row, :, :2].tolist()
-    objects = {
-        name: Pose2(*xy)
-        for name, xy in zip(batch.entities.names, poses, strict=True)
-        # A missing entity has the pose NaN.
-        if xy[0] == xy[0]
-    }
-    rule = labels.rules[row]
-    goal = Goal.from_pairs(labels.goals[row], rule_from(rule) if rule else None)
-    return say_of(things_at(robots, objects), goal, rng)
+    names, texts = batch.entities.names, []
+    # In one transfer each, because frames may be on a GPU.
+    objects, bases = labels.objects[..., :2].tolist(), labels.bases.tolist()
+    for row in rows:
+        team = zip(labels.robot_colors[row], bases[row], strict=False)
+        robots = [RobotPlacement("ur5", color, Pose2(*base)) for color, base in team]
+        there = {
+            name: Pose2(*xy)
+            for name, xy in zip(names, objects[row], strict=True)
+            if not math.isnan(xy[0])
+        }
+        rule = labels.rules[row]
+        goal = Goal.from_pairs(labels.goals[row], rule_from(rule) if rule else None)
+        texts.append(say_of(things_at(robots, there), goal, rng))
+    return texts

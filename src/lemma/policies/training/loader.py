@@ -26,6 +26,7 @@ from lemma.policies.batch import Batch
 from lemma.policies.frames import Frames
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.places import relational_in
+from lemma.policies.text.rules import say_rule_anew
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
 from lemma.tasks.language.bank import robot_phrases_in_order, say_rule
@@ -269,7 +270,11 @@ def with_instructions(
                 rng = stream("rule", seed, draw, episode)
                 kind = kinds[int(rng.integers(len(kinds)))]
                 robots = robot_phrases_in_order(labels.robot_colors[row])
-                text = say_rule(rule_from(rule), kind, text, robots, rng)
+                said = rule_from(rule)
+                if paraphrases and rng.random() < paraphrases:
+                    text = say_rule_anew(said, labels.goals[row], text, robots, rng)
+                else:
+                    text = say_rule(said, kind, text, robots, rng)
             drawn[episode] = text
         texts.append(text)
     return replace(batch, instructions=texts)
@@ -285,11 +290,10 @@ def with_places(batch: Batch, share: float, rng: np.random.Generator) -> Batch:
         share: Share of the frames.
         rng: Random generator.
     """
-    assert batch.labels is not None
-    texts = [
-        relational_in(batch, row, rng) if rng.random() < share else text
-        for row, text in enumerate(batch.instructions)
-    ]
+    rows = np.flatnonzero(rng.random(len(batch)) < share).tolist()
+    texts = list(batch.instructions)
+    for row, text in zip(rows, relational_in(batch, rows, rng), strict=True):
+        texts[row] = text
     return replace(batch, instructions=texts)
 
 

@@ -21,7 +21,11 @@ from lemma.policies.models.base import Model
 from lemma.policies.training.captured import CapturedStep
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import with_instructions, with_language
+from lemma.policies.training.loader import (
+    with_instructions,
+    with_language,
+    with_places,
+)
 
 Scores = dict[str, float]
 """Mean scores by name, without scores that no frame has."""
@@ -253,6 +257,8 @@ def validate(
         rows = [i for unit in units[start : start + batch_size] for i in unit]
         batch = frames.batch(rows, team.device)
         batch = with_instructions(batch, 0, 0, kinds or config.kinds)
+        if places := config.augmentation.relational:
+            batch = with_places(batch, places, stream("places", start))
         batch = with_language(batch, config.language, stream("control", start))
         with torch.inference_mode(), autocast(config, team.device):
             scores = model.score(batch)

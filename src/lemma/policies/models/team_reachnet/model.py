@@ -17,17 +17,14 @@ from torch.nn import functional as F
 
 from lemma.core.arguments import Cost, Depth
 from lemma.env.view import View
-from lemma.policies.batch import NOBODY, Batch
+from lemma.policies.batch import NOBODY, Batch, Labels
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
-from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
-from lemma.policies.models.reachnet.grounder import reach_loss
 from lemma.policies.models.reachnet.perception import Marks, PerceptionConfig
 from lemma.policies.models.reachnet.scene_table import (
     Noise,
-    SceneTable,
     true_radii,
 )
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
@@ -71,7 +68,6 @@ from lemma.policies.together.interfaces import Orders, TeamInput
 from lemma.tasks.subtask import STOP, Primitive, SubTask
 from lemma.tasks.teams.rule import Rule, Together
 
-_REACH_POINTS = 128
 _LOUDEST = 25.0
 _LONGEST = 16
 """Largest number of moves in a plan."""
@@ -167,7 +163,7 @@ class TeamReachNet(MapModel):
             )
             scene = true_scene(labels, seen, batch.raster, batch.entities)
             terms = self.eye.losses(marks, scene, batch)
-            terms["reach"] = self._reach_loss(scene, known, batch)
+            terms["reach"] = self.eye.reaches(scene, known, batch)
             truth = true_table(labels, known, team, weak, batch.entities)
             terms["heavy"] = self.eye.weight_loss(
                 marks, truth.there, truth.xy, labels.heavy, batch
@@ -175,8 +171,7 @@ class TeamReachNet(MapModel):
             with torch.no_grad():
                 found = self.eye.look(marks, coarse, batch, team, weak)
                 perceived = remembered(found, truth)
-        # Demonstrations of this rule have keyframes with arms at work.
-        at_rest = (wanted.rule != RULES.index(Together.kind)) | (labels.keyframe == 0)
+        at_rest = _at_rest(wanted, labels)
         read = self.reader.understand(
             Sentences(*tensors["words"]), truth, tensors["color"]
         )
@@ -186,12 +181,6 @@ class TeamReachNet(MapModel):
                 truth, perceived, read, wanted, tensors["move"], at_rest
             )
         return terms
-
-    def _reach_loss(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
-        sides = constant((batch.raster.columns, batch.raster.rows), self.device)
-        share = torch.rand(len(batch), _REACH_POINTS, 2, device=self.device) * 2 - 1
-        points = share * sides * (batch.raster.cell_m / 2)
-        return reach_loss(scene, known, scene.bases, points)
 
     def _plan_loss(
         self,
@@ -246,15 +235,16 @@ class TeamReachNet(MapModel):
             seen = remembered(found, truth)
             cargo, targets = truth.entities.cargo, truth.entities.stick
             number = number_of(tensors["move"], cargo, targets)
-            shares = read.shares()
+            shares = read.decided()
             chosen = self.planner(seen, shares).argmax(1)
             told = self.planner(truth, wanted.shares(targets)).argmax(1)
             bottoms = shares.bottoms.argmax(-1)
             bottoms = torch.where(bottoms == targets, NOBODY, bottoms)
             right = (bottoms == wanted.bottoms).all(1)
+            at_rest = _at_rest(wanted, labels)
             return {
-                "decision": (chosen == number).float(),
-                "planned": (told == number).float(),
+                "decision": torch.where(at_rest, (chosen == number).float(), torch.nan),
+                "planned": torch.where(at_rest, (told == number).float(), torch.nan),
                 "reading": right.float(),
                 "rule": (shares.rule.argmax(-1) == wanted.rule).float(),
             }
@@ -324,8 +314,8 @@ class TeamReachNet(MapModel):
                 steps.append(move_named(move[0].tolist(), team, self.entities))
                 table = table.moved(move[:, 1], move[:, 2])
                 # A thing goes to each place at most once in a plan.
-                colors = torch.arange(ROBOTS, device=self.device)[:, None]
-                again = torch.cat([colors, move[:, 1:].expand(ROBOTS, -1)], 1)
+                every = torch.arange(ROBOTS, device=self.device)[:, None]
+                again = torch.cat([every, move[:, 1:].expand(ROBOTS, -1)], 1)
                 if steps[-1] != STOP:
                     cost[number_of(again, cargo, targets)] = _LOUDEST
         return steps, rule_of_times(read, self.entities)
@@ -342,7 +332,7 @@ class TeamReachNet(MapModel):
         seen = self._seen(replace(given, view=first), team)
         start = self.eye.look(*seen, there, weak)
         said = named_colors([colors], self.device)
-        read = self.reader.understand(words, start, said, _UNSEEN).shares()
+        read = self.reader.understand(words, start, said, _UNSEEN).decided()
         named = named_entities(read, self.entities)
         start = self.eye.look(*seen, there, weak, named)
         if view is first:
@@ -383,6 +373,15 @@ class TeamReachNet(MapModel):
         if failures >= _MOST_FAILURES:
             costs[:-1] += _LOUDEST * _LOUDEST
         return costs.to(self.device)
+
+
+def _at_rest(wanted: Wanted, labels: Labels) -> Tensor:
+    """Return whether all arms are at rest, (B,) bool.
+
+    Demonstrations of the rule ``together`` have keyframes with arms at work.
+    """
+    together = wanted.rule == RULES.index(Together.kind)
+    return ~together | (labels.keyframe == 0)
 
 
 def _has_failed(given: PolicyInput) -> bool:

@@ -11,16 +11,20 @@ from torch.nn import functional as F
 
 from lemma.policies.batch import Batch
 from lemma.policies.entities import EntitySet
+from lemma.policies.layers import constant
 from lemma.policies.models.grid import Cells
+from lemma.policies.models.reachnet.grounder import reach_loss
 from lemma.policies.models.reachnet.perception import (
     STRIDE,
     Marks,
     Perception,
     PerceptionConfig,
 )
+from lemma.policies.models.reachnet.scene_table import SceneTable
 from lemma.policies.models.team_reachnet.table import TeamTable, team_table
 from lemma.policies.models.team_reachnet.teams import ROBOTS
 
+_POINTS = 128
 _LIGHT = -4.0
 """Initial logit that an entity is heavy."""
 
@@ -61,6 +65,19 @@ class TeamPerception(Perception):
         found = team_table(self.table(marks, coarse, batch, named), team, weak)
         heavy = self._weighed(marks, found.xy, batch).sigmoid()
         return replace(found, heavy=torch.where(found.there, heavy, 0.0))
+
+    def reaches(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
+        """Return the loss of which points each robot reaches.
+
+        Args:
+            scene: True scenes, with the radii of reach that are seen.
+            known: True radii [m], (B, R, 3).
+            batch: The maps.
+        """
+        sides = constant((batch.raster.columns, batch.raster.rows), known.device)
+        share = torch.rand(len(batch), _POINTS, 2, device=known.device) * 2 - 1
+        points = share * sides * (batch.raster.cell_m / 2)
+        return reach_loss(scene, known, scene.bases, points)
 
     def weight_loss(
         self, marks: Marks, there: Tensor, xy: Tensor, heavy: Tensor, batch: Batch

@@ -7,6 +7,7 @@ color, or by their place in the scene that is seen.
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -26,16 +27,19 @@ from lemma.scene.spec import ROBOT_COLORS
 from lemma.tasks.language.bank import ORDINALS
 from lemma.tasks.language.relational import ROBOT
 from lemma.tasks.language.template import GoalPairs
-from lemma.tasks.teams.rule import After, Rule, Together
+from lemma.tasks.teams.rule import After, But, Rule, Together, Without
 
 RULES = ("", "after", "without", "but", "together")
 """No rule, and the kinds of rules."""
+_WITHOUT = RULES.index(Without.kind)
 ROLES = ("later", "first", "kept")
 """Roles of movable entities in rules: the top of the later pair, the top of the pair
 that comes first, and the one that must not be touched."""
 _NEVER = -30.0
 _FAR = 24
 """Largest distance of an anchor from its word; larger ones are clipped."""
+_RARE = 5.0
+"""Difference of log-probabilities from which a bottom of a top is not considered."""
 _NAMED = 3
 """Number of ways to mean what a word names: it alone, or the left or right one."""
 _SCALE = 10.0
@@ -67,6 +71,18 @@ class Reading(NamedTuple):
             roles * has[..., None],
             self.excluded.float().softmax(-1) * without[:, None],
         )
+
+    def decided(self) -> "Reading":
+        """Return logits as certain readings, (B, ...): the most likely consistent ones.
+
+        Nothing lies on itself, and no two things lie on the same one.
+        """
+        return Wanted(
+            _consistent(self.bottoms.float().log_softmax(-1)),
+            rule := self.rule.argmax(-1),
+            torch.where(_has_roles(rule), self.roles.argmax(-1), NOBODY),
+            torch.where(rule == _WITHOUT, self.excluded.argmax(-1), NOBODY),
+        ).shares(self.bottoms.shape[-1] - 1)
 
 
 class Wanted(NamedTuple):
@@ -300,6 +316,43 @@ def _named(logits: Tensor, wanted: Tensor) -> Tensor:
     """Return the mean loss of the rows with a wanted number, divided by all rows."""
     lost = F.cross_entropy(logits, wanted.clamp(min=0), reduction="none")
     return torch.where(wanted >= 0, lost, 0.0).sum() / max(1, len(wanted))
+
+
+def _has_roles(rules: Tensor) -> Tensor:
+    """Return whether rules have an entity in each role, (B, roles) bool."""
+    after, but = rules == RULES.index(After.kind), rules == RULES.index(But.kind)
+    return torch.stack([after, after, but], 1)
+
+
+def _consistent(logs: Tensor) -> Tensor:
+    """Return the most likely bottoms, (B, C), -1 for none, of log-probabilities.
+
+    No bottom has two tops, and no top lies on itself, be it with others in between.
+    """
+    found, nothing = [], logs.shape[-1] - 1
+    for rows in logs.tolist():
+        likely = [
+            [(-x, k) for k, x in enumerate(row) if k == nothing or x > max(row) - _RARE]
+            for row in rows
+        ]
+        ways = sorted(product(*likely), key=lambda way: sum(cost for cost, _ in way))
+        numbers = ([number for _, number in way] for way in ways)
+        best = next(way for way in numbers if _is_consistent(way, nothing))
+        found.append([NOBODY if number == nothing else number for number in best])
+    return torch.tensor(found, device=logs.device)
+
+
+def _is_consistent(bottoms: Sequence[int], nothing: int) -> bool:
+    used = [bottom for bottom in bottoms if bottom != nothing]
+    if len({*used}) < len(used):
+        return False
+    for top in range(len(bottoms)):
+        below, steps = bottoms[top], 0
+        while below < len(bottoms):
+            if below == top or steps > len(bottoms):
+                return False
+            below, steps = bottoms[below], steps + 1
+    return True
 
 
 def rule_of_times(read: Reading, entities: EntitySet) -> Rule | None:

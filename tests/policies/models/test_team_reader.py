@@ -1,4 +1,4 @@
-"""The team's reader and the sentences have one meaning of places."""
+"""The team's reader: rules as numbers, consistent goals, and places as in sentences."""
 
 import math
 import re
@@ -14,8 +14,15 @@ from relational_reader import readings
 
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch
-from lemma.policies.entities import BENCHMARK
+from lemma.policies.entities import BENCHMARK as ENTITIES
 from lemma.policies.models.team_reachnet.places import Places, places_in
+from lemma.policies.models.team_reachnet.reader import (
+    RULES,
+    Reading,
+    named_entities,
+    rule_of_times,
+    wanted_of,
+)
 from lemma.policies.models.team_reachnet.table import true_table
 from lemma.policies.models.team_reachnet.teams import ROBOTS, distinct
 from lemma.policies.text.places import relational_in
@@ -27,8 +34,9 @@ from lemma.tasks.language.bank import ORDINALS, robot_phrases
 from lemma.tasks.language.relational import describe, speaks_of_places, things_in
 from lemma.tasks.suite import load_instance
 
-TARGETS = BENCHMARK.stick
-_NOUNS = [kind.name for kind in BENCHMARK.kinds[:TARGETS]] + ["robot"] * ROBOTS
+CARGO, TARGETS = ENTITIES.cargo, ENTITIES.stick
+TEAM = ("blue", "red", "green")
+_NOUNS = [kind.name for kind in ENTITIES.kinds[:TARGETS]] + ["robot"] * ROBOTS
 KINDS = torch.tensor([sorted(set(_NOUNS)).index(noun) for noun in _NOUNS])
 _ONE = {"nearest to": 0, "farthest from": 1, "left of": 2, "right of": 3}
 
@@ -36,10 +44,10 @@ _ONE = {"nearest to": 0, "farthest from": 1, "left of": 2, "right of": 3}
 def frame_of(instance: Instance) -> Batch:
     """Return a batch whose labels are the table of an instance; its map is not."""
     batch, scene = drawn_batch(1), instance.scene
-    objects = torch.full((1, len(BENCHMARK), 7), math.nan)
+    objects = torch.full((1, len(ENTITIES), 7), math.nan)
     for placed in scene.objects:
         pose = (*placed.pose.xy, 0.0, 1.0, 0.0, 0.0, 0.0)
-        objects[0, BENCHMARK.number(placed.name)] = torch.tensor(pose)
+        objects[0, ENTITIES.number(placed.name)] = torch.tensor(pose)
     bases = [(r.base.x, r.base.y, r.base.yaw) for r in scene.robots]
     rule = instance.goal.rule
     assert batch.labels is not None
@@ -62,7 +70,7 @@ def places_of(instance: Instance) -> Places:
     team = torch.tensor([[color in colors for color in ROBOT_COLORS]])
     by_color = replace(labels, bases=labels.bases[:, rows])
     radii = torch.ones(1, ROBOTS, 3)
-    return places_in(true_table(by_color, radii, team, team, BENCHMARK), KINDS)
+    return places_in(true_table(by_color, radii, team, team, ENTITIES), KINDS)
 
 
 def numbers_of(instance: Instance) -> dict[str, int]:
@@ -71,7 +79,7 @@ def numbers_of(instance: Instance) -> dict[str, int]:
     own = distinct([robot.color for robot in robots])
     phrases = zip(robot_phrases(robots), own, strict=True)
     found = {text: TARGETS + ROBOT_COLORS.index(color) for text, color in phrases}
-    names = BENCHMARK.names[:TARGETS]
+    names = ENTITIES.names[:TARGETS]
     return found | {name.replace("_", " "): k for k, name in enumerate(names)}
 
 
@@ -125,7 +133,7 @@ def scene_of(batch: Batch) -> SceneSpec:
         ),
         objects=tuple(
             ObjectPlacement(name.split("_")[1], name.split("_")[0], Pose2(*xy))
-            for name, xy in zip(BENCHMARK.names, poses, strict=True)
+            for name, xy in zip(ENTITIES.names, poses, strict=True)
             if not math.isnan(xy[0])
         ),
     )
@@ -136,7 +144,7 @@ def scene_of(batch: Batch) -> SceneSpec:
     st.sampled_from(["sort", "exchange", "tower", "unison", "stack2"]),
     st.integers(0, 39),
     st.booleans(),
-    st.permutations(range(len(BENCHMARK.colors))),
+    st.permutations(range(len(ENTITIES.colors))),
     st.integers(0, 999),
 )
 def test_sentences_of_changed_frames_ask_for_the_goal(
@@ -145,9 +153,85 @@ def test_sentences_of_changed_frames_ask_for_the_goal(
     batch = frame_of(load_instance(task, "val", index))
     batch = permute_colors(batch, torch.tensor([colors]))
     batch = move(batch, torch.tensor([[3, -2]]), torch.tensor([turned]))
-    text = relational_in(batch, 0, np.random.default_rng(seed))
+    (text,) = relational_in(batch, [0], np.random.default_rng(seed))
     labels = batch.labels
     assert labels is not None
     wanted = (frozenset(labels.goals[0]), labels.rules[0])
     assert readings(text, scene_of(batch)) == {wanted}
     assert speaks_of_places(text) or text.startswith("Put every")
+
+
+def test_rules_as_numbers() -> None:
+    goals = [(("red_cube", "blue_pad"), ("white_cube", "red_cube"))] * 5
+    rules = [
+        (),
+        ("after", "white_cube", "red_cube", "red_cube", "blue_pad"),
+        ("without", "robot_1"),
+        ("but", "green_cube"),
+        ("together", "red_cube", "blue_pad", "white_cube", "red_cube"),
+    ]
+    device = torch.device("cpu")
+    wanted = wanted_of(goals, rules, [TEAM] * 5, ENTITIES, device)
+    number = ENTITIES.number
+    assert [RULES[i] for i in wanted.rule] == ["", *(one[0] for one in rules[1:])]
+    assert wanted.bottoms[0, number("red_cube")] == number("blue_pad")
+    assert wanted.roles[1].tolist() == [number("white_cube"), number("red_cube"), -1]
+    assert wanted.roles[3].tolist() == [-1, -1, number("green_cube")]
+    assert wanted.excluded.tolist() == [-1, -1, ROBOT_COLORS.index("red"), -1, -1]
+    shares = wanted.shares(TARGETS)
+    assert torch.all(shares.bottoms.sum(-1) == 1)
+    assert shares.roles.sum((1, 2)).tolist() == [0, 2, 0, 1, 0]
+    read = [Reading(*(part[i : i + 1] for part in shares)) for i in range(5)]
+    timed = [rule_of_times(one, ENTITIES) for one in read]
+    assert [rule and rule.kind for rule in timed] == [
+        *(None, "after", None, None, "together")
+    ]
+    assert timed[4] is not None
+    assert {*timed[4].pairs} == {*goals[4]}
+
+
+def decided(rows: dict[str, dict[str, float]]) -> dict[str, str]:
+    """Return the bottom of each top that is decided, of shares of bottoms."""
+    bottoms = torch.full((1, CARGO, TARGETS + 1), -20.0)
+    bottoms[..., TARGETS] = 0.0
+    for top, shares in rows.items():
+        row = bottoms[0, ENTITIES.number(top)]
+        row[TARGETS] = math.log(max(1e-9, 1.0 - sum(shares.values())))
+        for bottom, share in shares.items():
+            row[ENTITIES.number(bottom)] = math.log(share)
+    zeros = torch.zeros(1, ROBOTS)
+    read = Reading(
+        bottoms, torch.zeros(1, len(RULES)), torch.zeros(1, 3, CARGO), zeros
+    ).decided()
+    assert torch.all(read.bottoms.sum(-1) == 1)
+    chosen = read.bottoms[0, :, :TARGETS].nonzero().tolist()
+    return {ENTITIES.names[top]: ENTITIES.names[bottom] for top, bottom in chosen}
+
+
+def test_a_reading_is_decided_so_that_it_is_consistent() -> None:
+    likely = {"red_pad": 0.6, "blue_pad": 0.4}
+    assert decided({"red_cube": likely}) == {"red_cube": "red_pad"}
+    # Two cubes do not lie on one pad.
+    both = {"red_cube": {"red_pad": 0.7, "blue_pad": 0.3}, "white_cube": likely}
+    assert decided(both) == {"red_cube": "red_pad", "white_cube": "blue_pad"}
+    # Two do not lie on each other, be it with a third one in between.
+    swapped = {
+        "red_cube": {"white_cube": 0.6, "red_pad": 0.4},
+        "white_cube": {"red_cube": 0.9, "red_pad": 0.05},
+    }
+    assert decided(swapped) == {"red_cube": "red_pad", "white_cube": "red_cube"}
+    ring = {
+        "red_cube": {"white_cube": 0.9, "red_pad": 0.1},
+        "white_cube": {"blue_cube": 0.9, "red_pad": 0.1},
+        "blue_cube": {"red_cube": 0.6, "red_pad": 0.4},
+    }
+    assert decided(ring)["blue_cube"] == "red_pad"
+    assert decided({"red_cube": {"red_pad": 0.2}}) == {}
+
+
+def test_named_things_are_those_of_the_goal() -> None:
+    goal = (("red_cube", "red_pad"), ("white_cube", "red_cube"))
+    wanted = wanted_of([goal], [()], [TEAM], ENTITIES, torch.device("cpu"))
+    named = named_entities(wanted.shares(TARGETS), ENTITIES)
+    names = {ENTITIES.names[k] for k in torch.nonzero(named[0]).flatten().tolist()}
+    assert names == {"red_cube", "red_pad", "white_cube"}
