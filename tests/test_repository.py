@@ -373,7 +373,7 @@ def options_of(verb: str) -> frozenset[str]:
     with redirect_stdout(out), pytest.raises(SystemExit) as end:
         main.main([*([verb] if verb else []), "--help"])
     assert not end.value.code, f"lemma {verb}: {out.getvalue()}"
-    printed = re.findall(r"--[a-z][a-z-]*", out.getvalue())
+    printed = re.findall(r"--[a-z][a-z.-]*", out.getvalue())
     return frozenset(printed) | {"--help", "--tyro-print-completion"}
 
 

@@ -58,6 +58,7 @@ def with_tins(batch: Batch, entities: EntitySet) -> Batch:
             labels,
             decision=numbers(labels.decision),
             objects=torch.from_numpy(objects).float(),
+            heavy=torch.zeros(objects.shape[:2], dtype=torch.bool),
             goals=[
                 tuple((renamed(top), bottom) for top, bottom in goal)
                 for goal in labels.goals
