@@ -63,8 +63,8 @@ class TeamPerception(Perception):
             named: Entities that are there even if they are hard to see, (B, E) bool.
         """
         found = team_table(self.table(marks, coarse, batch, named), team, weak)
-        heavy = self._weighed(marks, found.xy, batch).sigmoid()
-        return replace(found, heavy=torch.where(found.there, heavy, 0.0))
+        heavy = found.there & (self._weighed(marks, found.xy, batch) > 0.0)
+        return replace(found, heavy=heavy.float())
 
     def reaches(self, scene: SceneTable, known: Tensor, batch: Batch) -> Tensor:
         """Return the loss of which points each robot reaches.

@@ -41,7 +41,7 @@ class TeamTable:
     weak: Tensor
     """Whether it has another hand than the standard one, (B, R) bool."""
     heavy: Tensor
-    """Probability that entities are too heavy for such a hand, (B, E)."""
+    """1 for entities that are too heavy for such a hand, (B, E)."""
     bases: Tensor
     """Positions of the bases [m], (B, R, 2); ``FAR_M`` for absent robots."""
     radii: Tensor
