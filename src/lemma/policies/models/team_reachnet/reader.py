@@ -7,7 +7,6 @@ color, or by their place in the scene that is seen.
 
 import math
 from collections.abc import Sequence
-from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -38,8 +37,6 @@ that comes first, and the one that must not be touched."""
 _NEVER = -30.0
 _FAR = 24
 """Largest distance of an anchor from its word; larger ones are clipped."""
-_RARE = 5.0
-"""Difference of log-probabilities from which a bottom of a top is not considered."""
 _NAMED = 3
 """Number of ways to mean what a word names: it alone, or the left or right one."""
 _SCALE = 10.0
@@ -73,10 +70,7 @@ class Reading(NamedTuple):
         )
 
     def decided(self) -> "Reading":
-        """Return logits as certain readings, (B, ...): the most likely consistent ones.
-
-        Nothing lies on itself, and no two things lie on the same one.
-        """
+        """Return logits as certain and consistent readings, (B, ...)."""
         return Wanted(
             _consistent(self.bottoms.float().log_softmax(-1)),
             rule := self.rule.argmax(-1),
@@ -325,34 +319,38 @@ def _has_roles(rules: Tensor) -> Tensor:
 
 
 def _consistent(logs: Tensor) -> Tensor:
-    """Return the most likely bottoms, (B, C), -1 for none, of log-probabilities.
+    """Return consistent bottoms, (B, C), -1 for none, of log-probabilities.
 
-    No bottom has two tops, and no top lies on itself, be it with others in between.
+    The most certain top takes its bottom first. No bottom has two tops, and no top lies
+    on itself, be it with others in between.
     """
-    found, nothing = [], logs.shape[-1] - 1
+    found = []
     for rows in logs.tolist():
-        likely = [
-            [(-x, k) for k, x in enumerate(row) if k == nothing or x > max(row) - _RARE]
-            for row in rows
-        ]
-        ways = sorted(product(*likely), key=lambda way: sum(cost for cost, _ in way))
-        numbers = ([number for _, number in way] for way in ways)
-        best = next(way for way in numbers if _is_consistent(way, nothing))
-        found.append([NOBODY if number == nothing else number for number in best])
+        nothing = len(rows[0]) - 1
+        bottoms: dict[int, int] = {}
+        while len(bottoms) < len(rows):
+            ways = [
+                (row[bottom], top, bottom)
+                for top, row in enumerate(rows)
+                for bottom in range(nothing + 1)
+                if top not in bottoms
+                and (bottom == nothing or _fits(bottoms, top, bottom))
+            ]
+            _, top, bottom = max(ways)
+            bottoms[top] = bottom
+        chosen = [bottoms[top] for top in range(len(rows))]
+        found.append([NOBODY if bottom == nothing else bottom for bottom in chosen])
     return torch.tensor(found, device=logs.device)
 
 
-def _is_consistent(bottoms: Sequence[int], nothing: int) -> bool:
-    used = [bottom for bottom in bottoms if bottom != nothing]
-    if len({*used}) < len(used):
+def _fits(bottoms: dict[int, int], top: int, bottom: int) -> bool:
+    """Whether a top may lie on a bottom, given the bottoms of others."""
+    if bottom in bottoms.values():
         return False
-    for top in range(len(bottoms)):
-        below, steps = bottoms[top], 0
-        while below < len(bottoms):
-            if below == top or steps > len(bottoms):
-                return False
-            below, steps = bottoms[below], steps + 1
-    return True
+    below: int | None = bottom
+    while below is not None and below != top:
+        below = bottoms.get(below)
+    return below is None
 
 
 def rule_of_times(read: Reading, entities: EntitySet) -> Rule | None:
