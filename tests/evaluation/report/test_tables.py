@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from made_up import ABOUT, result, row
 
+import gpu_curves
 import results
 from learning_curves import (
     CURVE,
@@ -372,3 +373,22 @@ def test_learning_curves_are_read_back_and_shown(tmp_path: Path) -> None:
     (tmp_path / NAME / CURVE).write_text('{"points": 3}')
     with pytest.raises(DatasetError, match="no learning curve"):
         read_curves(tmp_path)
+
+
+def test_curves_of_the_gpu_have_a_point_for_each_million_steps() -> None:
+    lines = (
+        "98304 steps, 0 s: 27% of 482 succeeded, potential 0.27\n"
+        "1081344 steps, 23 s: 45% of 2466 succeeded, potential 0.29\n"
+        "49,548 steps/s with learning; hand.pt\n"
+    )
+    found = gpu_curves.curve(lines)
+    assert {million: mark.value for million, mark in found.items()} == {
+        0: 0.27,
+        1: 0.45,
+    }
+    # Fonts of a figure differ by machine.
+    assert gpu_curves.FIGURE.is_file()
+    assert all(
+        path.stem.split("-")[0] in gpu_curves.figure()
+        for path in gpu_curves.LOGS.glob("*.txt")
+    )
