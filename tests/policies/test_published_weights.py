@@ -183,7 +183,12 @@ def test_the_list_and_the_command_are_what_the_metadata_say(name: str) -> None:
     entry, metadata = published_weights()[name], read_metadata(find_weights(name))
     for part in ("model", "data", "command", "ended", "steps", "scores", "lemma"):
         assert entry[part] == getattr(metadata, part), part
-    words = shlex.split(metadata.command)
+    first, *lessons = metadata.command.split("; ")
+    words = shlex.split(first)
+    for lesson in lessons:
+        python, script, *_ = lesson.split()
+        assert python == "python"
+        assert (CHECKOUT.parent / script).is_file()
     if metadata.model.startswith(LEROBOT):
         assert words[:2] == ["python", "scripts/control_baselines.py"]
         return
