@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from relational_reader import readings
 
+import teach_a_reader
+from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK as ENTITIES
@@ -27,7 +30,10 @@ from lemma.policies.models.team_reachnet.table import true_table
 from lemma.policies.models.team_reachnet.teams import ROBOTS, distinct
 from lemma.policies.text.places import relational_in
 from lemma.policies.training.augmentation import move
+from lemma.policies.training.config import Augmentation, TrainingConfig
+from lemma.policies.training.loop import train
 from lemma.policies.training.recoloring import permute_colors
+from lemma.policies.weights import load_model
 from lemma.scene.spec import ROBOT_COLORS, ObjectPlacement, RobotPlacement, SceneSpec
 from lemma.tasks.instance import Instance
 from lemma.tasks.language.bank import ORDINALS, robot_phrases
@@ -159,6 +165,35 @@ def test_sentences_of_changed_frames_ask_for_the_goal(
     wanted = (frozenset(labels.goals[0]), labels.rules[0])
     assert readings(text, scene_of(batch)) == {wanted}
     assert speaks_of_places(text) or text.startswith("Put every")
+
+
+def test_lessons_change_the_reader_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in (("TASKS", ("relay", "exchange")), ("TABLES", 3), ("BATCH", 4)):
+        monkeypatch.setattr(teach_a_reader, name, value)
+    teach_a_reader.main("team-reachnet", str(tmp_path), 1)
+    before, after = load_model("team-reachnet"), load_model(str(tmp_path))
+    # Files of runs have 16 bits.
+    changed = {
+        name
+        for name, weight in after.state_dict().items()
+        if not torch.equal(weight.half(), before.state_dict()[name].half())
+    }
+    assert changed
+    assert all(name.startswith("reader.") for name in changed)
+    monkeypatch.setattr(teach_a_reader, "TEST_TABLES", 4)
+    capsys.readouterr()
+    teach_a_reader.measure(before)
+    assert "high_level: goals 100.0%, rules 100.0%" in capsys.readouterr().out
+
+
+def test_other_models_do_not_learn_from_places(tmp_path: Path) -> None:
+    config = TrainingConfig(
+        "cliport", tmp_path, tmp_path, augmentation=Augmentation(relational=0.5)
+    )
+    with pytest.raises(InvalidConfigError, match="cliport does not read"):
+        train(config)
 
 
 def test_rules_as_numbers() -> None:

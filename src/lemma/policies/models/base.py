@@ -42,6 +42,9 @@ class Model(nn.Module, ABC):
     (:class:`lemma.policies.training.captured.CapturedStep`)."""
     of_any_team: ClassVar[bool] = False
     """Whether batches may have teams of different sizes."""
+    reads_places: ClassVar[bool] = False
+    """Whether it reads a frame's sentence with the scene in that frame, so that
+    sentences may name things by their places in it."""
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and the replacement of
     each."""

@@ -23,7 +23,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from lemma.core.errors import LemmaError
+from lemma.core.errors import InvalidConfigError, LemmaError
 from lemma.core.files import only_writer, write_json
 from lemma.core.version import VERSION as __version__
 from lemma.policies.models.catalog import options_of
@@ -118,6 +118,11 @@ class _Run:
     ) -> None:
         self.config, self.team, self.command = config, team, command
         self.model = first_model(config)
+        if config.augmentation.relational and not self.model.reads_places:
+            raise InvalidConfigError(
+                f"{config.model} does not read sentences with the scene, so it cannot "
+                "learn from relational ones. Leave out --augmentation.relational."
+            )
         # The benchmark tries all kernels for every new shape, which takes seconds.
         torch.backends.cudnn.benchmark = self.model.of_fixed_shape
         self.data: Data = read_frames(

@@ -104,6 +104,7 @@ class TeamReachNet(MapModel):
     reads_outcomes = True
     of_fixed_shape = True
     of_any_team = True
+    reads_places = True
     symbolic = True
 
     def __init__(self, config: TeamReachNetConfig | None = None) -> None:
