@@ -35,7 +35,7 @@ from lemma.policies.weights import find_weights, load_model
 from lemma.policies.weights_file import read_metadata, write_weights
 from lemma.scene.raster import RASTER
 from lemma.tasks.instance import Instance
-from lemma.tasks.language.blind import instruction
+from lemma.tasks.language.relational import relational
 from lemma.tasks.suite import load_instance
 
 TASKS = (
@@ -143,7 +143,7 @@ def measure(network: TeamReachNet) -> None:
     ]
     batch = batch_of(instances, EntitySet.of(network.config.entities))
     for kind in KINDS:
-        texts = [instruction(instance, kind) for instance in instances]
+        texts = [one.instructions.get(kind) or relational(one) for one in instances]
         found, wanted = read(network.eval(), replace(batch, instructions=texts))
         bottoms = found.decided().bottoms
         targets = bottoms.shape[-1] - 1
