@@ -85,6 +85,8 @@ class EvaluateOptions:
     )
     """Time limit for a decision of your own class or server [s]. 0: no limit; a class
     then runs in this process."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Device of models of this package, with float32 on both."""
     language: Literal["full", "none", "shuffled", "swapped"] = "full"
     """Language controls. none: no sentence; shuffled: the sentence of the next
     instance; swapped: a sentence with swapped colors, so another goal."""
@@ -207,6 +209,7 @@ def _config(
         *(ask.planning, ask.gta, ask.timeout_s, chat),
         level="control" if ask.level == "control" else "",
         arguments=arguments(ask.policy_args),
+        device=ask.device,
     )
     acting = acting_by_default(tasks, controls=spec.controls)
     spec = replace(

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -35,6 +35,7 @@ def reproduce(
     check: Flag = False,
     split: Annotated[str, tyro.conf.arg(metavar="SPLIT")] = "test",
     episodes: Number = None,
+    device: Literal["cpu", "cuda"] = "cpu",
     working: WorkerOptions = DEFAULT,
     print_commands: Annotated[Flag, tyro.conf.arg(name="print")] = False,
 ) -> int:
@@ -54,18 +55,21 @@ def reproduce(
             --episodes of them, and compare them with the published lines in --out.
         split: Frozen list of instances.
         episodes: Number of episodes of every task, from the first; for trials.
+        device: Device of the models, with float32 on both.
         working: Options of the workers.
         print_commands: Only print the commands that train and evaluate the weights of
             all seeds.
     """
     experiments = selected(name)
     if check:
-        return _check(experiments, out, episodes or 1, working)
+        return _check(experiments, out, episodes or 1, device, working)
     if print_commands:
         for line in commands(experiments):
             output().print(line, soft_wrap=True)
         return 0
-    plan = Reproduction(out=out, weights=weights, split=split, episodes=episodes)
+    plan = Reproduction(
+        out=out, weights=weights, split=split, episodes=episodes, device=device
+    )
     for result in read_results([out]) if out.exists() else []:
         check_protocol({"protocol": quote()}, result.about, "This command", out)
     engine = working.make_engine()
@@ -87,6 +91,7 @@ def _check(
     experiments: list[Experiment],
     results: Path,
     episodes: int,
+    device: str,
     working: WorkerOptions,
 ) -> int:
     """Compare policies with their published lines; return 1 if one differs."""
@@ -98,7 +103,7 @@ def _check(
             continue
         try:
             engine = working.make_engine()
-            found = check_experiment(experiment, results, episodes, engine)
+            found = check_experiment(experiment, results, episodes, engine, device)
         except DatasetError as error:
             complain(f"{name}: {error}")
             failed += 1

@@ -14,8 +14,9 @@ without references to it. A policy that needs the true state is a subclass of
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from lemma.core.registry import takes
 from lemma.core.robot_names import robot_number
 from lemma.env.view import View
 from lemma.tasks.language.bank import sub_instruction
@@ -326,3 +327,17 @@ class Explainer(Protocol):
             inputs: One per episode; at least one.
         """
         ...
+
+
+_VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
+"""The method of each interface, and its number of arguments."""
+
+
+def can(part: Any, interface: type[Any]) -> bool:
+    """Return whether an object has the method of an interface, with its arguments.
+
+    ``isinstance`` compares names alone, but agents of other libraries have ``act``,
+    too.
+    """
+    verb, arguments = _VERBS[interface]
+    return takes(getattr(part, verb, None), arguments)

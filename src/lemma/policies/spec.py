@@ -8,7 +8,6 @@ from typing import Any
 
 from lemma.core.arguments import known
 from lemma.core.errors import InvalidConfigError, UnknownNameError
-from lemma.core.registry import takes
 from lemma.policies.class_path import (
     check_no_secret,
     checkpoint_of,
@@ -30,6 +29,7 @@ from lemma.policies.interfaces import (
     Oracle,
     Planner,
     Policy,
+    can,
     is_oracle,
 )
 from lemma.policies.oracle import (
@@ -48,6 +48,8 @@ PLANNINGS = ("single-step", "multi-step")
 ACTINGS = ("turns", "together")
 """Robots act one after the other; or several at the same time."""
 TOGETHER = ACTINGS[1]
+DEVICES = ("cpu", "cuda")
+"""Devices of models, the default first."""
 ADAPTERS = ("greedy", "turns")
 """Adapters of sequential policies to robots that act together, the default first."""
 LEVELS = ("plan", "skill", "control")
@@ -147,6 +149,8 @@ class PolicySpec:
     adapter: str = ""
     """Adapter of a sequential policy that acts together, one of :data:`ADAPTERS`; see
     :mod:`.together.adapters`. If empty, ``"greedy"`` for policies that need one."""
+    device: str = DEVICES[0]
+    """Device of the models, one of :data:`DEVICES`. Other policies choose their own."""
 
     def __post_init__(self) -> None:
         """Check the names and the time limit, and create its planners."""
@@ -154,6 +158,7 @@ class PolicySpec:
         self._check_level()
         self._check_acting()
         known("way of planning", self.planning, PLANNINGS)
+        known("device", self.device, DEVICES)
         if not 0.0 <= self.timeout_s < float("inf"):
             raise InvalidConfigError(
                 f"The time limit of a decision is {self.timeout_s} s. Valid: a "
@@ -214,8 +219,12 @@ class PolicySpec:
         return known or self.level == CONTROL
 
     def about(self) -> dict[str, Any]:
-        """Return the fields that determine its behavior, as plain data for results."""
-        fields = {name: value for name, value in asdict(self).items() if name != "chat"}
+        """Return the fields that determine its behavior, as plain data for results.
+
+        The device is none of them: it changes the last bits of a network's output.
+        """
+        fields = asdict(self)
+        del fields["chat"], fields["device"]
         # A dictionary, so that the data equal what is read back from JSON.
         fields["arguments"] = dict(self.arguments)
         return {
@@ -322,7 +331,9 @@ class PolicySpec:
         """Return the planner, grounder or policy of a name."""
         if self.is_planner(name):
             return self._planner(name)
-        return load(name) if load else load_part(name, dict(self.arguments))
+        if load:
+            return load(name)
+        return load_part(name, dict(self.arguments), self.device)
 
     def _whole(self, load: Load | None) -> Policy:
         """Return a policy with one part, an object with ``act``.
@@ -361,20 +372,6 @@ def _reads_outcomes(part: object) -> bool:
     return bool(getattr(part, "reads_outcomes", True))
 
 
-_VERBS = {Planner: ("plan", 1), Grounder: ("ground", 2), Policy: ("act", 1)}
-"""The method of each interface, and its number of arguments."""
-
-
-def can(part: Any, interface: type[Any]) -> bool:
-    """Return whether an object has the method of an interface, with its arguments.
-
-    ``isinstance`` compares names alone, but agents of other libraries have ``act``,
-    too.
-    """
-    verb, arguments = _VERBS[interface]
-    return takes(getattr(part, verb, None), arguments)
-
-
 def _able(part: Any, interface: type[Any], otherwise: str) -> Any:
     """Return an object that has the method of an interface.
 
@@ -386,14 +383,17 @@ def _able(part: Any, interface: type[Any], otherwise: str) -> Any:
     return part
 
 
-def load_part(name: str, arguments: Mapping[str, Any] | None = None) -> Any:
+def load_part(
+    name: str, arguments: Mapping[str, Any] | None = None, device: str = DEVICES[0]
+) -> Any:
     """Return the planner, grounder or policy of a name.
 
     Args:
         name: Name of the policy or part.
         arguments: Arguments of its class.
+        device: Device of a model.
 
     Raises:
         LemmaError: There is none, or its weights are missing or damaged.
     """
-    return instance_of(name, arguments) if ":" in name else load_model(name)
+    return instance_of(name, arguments) if ":" in name else load_model(name, device)

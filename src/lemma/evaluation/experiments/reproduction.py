@@ -26,7 +26,7 @@ from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
 from lemma.evaluation.run.loading import learned_parts, weights_of
 from lemma.policies.class_path import checkpoint_of
-from lemma.policies.spec import PolicySpec
+from lemma.policies.spec import DEVICES, PolicySpec
 from lemma.policies.weights import published_weights
 
 _FILE = "weights.safetensors"
@@ -55,6 +55,8 @@ class Reproduction:
     split: str = "test"
     episodes: int | None = None
     """Number of episodes of every task, the first ones; all if None."""
+    device: str = DEVICES[0]
+    """Device of the models. Experiments without models run without it."""
 
     def config(self, experiment: Experiment) -> tuple[EvaluationConfig, int]:
         """Return the evaluation's options, and the training seed of the weights.
@@ -64,6 +66,8 @@ class Reproduction:
             DatasetError: Weights were trained with different seeds.
         """
         policy = self._found(experiment)
+        if learned_parts(policy.name):
+            policy = replace(policy, device=self.device)
         seed = training_seed(weights_of(policy))
         config = EvaluationConfig(
             out=experiment.summary_path(self.out, seed).with_suffix(""),
@@ -144,6 +148,8 @@ class Reproduction:
         words = [f"lemma reproduce {experiment.name}"]
         if self.weights is not None:
             words.append(f"--weights {experiment.runs(seed)}")
+        if self.device != Reproduction.device and learned_parts(experiment.policy.name):
+            words.append(f"--device {self.device}")
         if self.split != Reproduction.split:
             words.append(f"--split {self.split}")
         if self.episodes is not None:
@@ -207,7 +213,11 @@ class Agreement:
 
 
 def check_experiment(
-    experiment: Experiment, results: Path, episodes: int, engine: Engine
+    experiment: Experiment,
+    results: Path,
+    episodes: int,
+    engine: Engine,
+    device: str = DEVICES[0],
 ) -> Agreement:
     """Play some episodes with published weights, and compare with published lines.
 
@@ -216,6 +226,7 @@ def check_experiment(
         results: Folder of published results.
         episodes: Number of episodes of each task and kind of instruction.
         engine: Workers that run the jobs.
+        device: Device of the models.
 
     Raises:
         DatasetError: There are no lines of the experiment, or its weights are missing.
@@ -223,7 +234,7 @@ def check_experiment(
     path = lines_at(experiment.summary_path(results, SHIPPED))
     lines = {key_of(row): row for row in read_lines(path)}
     with temporary_folder() as folder:
-        plan = Reproduction(out=folder, episodes=episodes)
+        plan = Reproduction(out=folder, episodes=episodes, device=device)
         config, seed = plan.config(experiment)
         if seed != SHIPPED:
             raise DatasetError(f"Weights of {experiment.name} ship with seed {seed}.")

@@ -17,10 +17,10 @@ from lemma.evaluation.protocol.language_controls import FULL, LANGUAGES
 from lemma.evaluation.protocol.rules import GROUP, quote
 from lemma.evaluation.protocol.suites import quote_suites
 from lemma.evaluation.records import PROTOCOL_VERSION
-from lemma.evaluation.run.loading import served_parts, weights_of
+from lemma.evaluation.run.loading import check_device, served_parts, weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.interfaces import TIMEOUT_S
-from lemma.policies.spec import ACTINGS, PLANNINGS, PolicySpec
+from lemma.policies.spec import ACTINGS, DEVICES, PLANNINGS, PolicySpec
 from lemma.tasks.instance import (
     BENCHMARK_VERSION,
     OWN_SPLIT,
@@ -84,6 +84,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         """Check the names and the number."""
+        check_device(self.policy)
         self._check_acting()
         if self.instance is not None:
             self._check_own(self.instance)
@@ -171,10 +172,12 @@ class EvaluationConfig:
             getattr(planner, "about", None) for planner in self.policy.planners()
         ]
         suites = quote_suites(self.tasks) if self.instance is None else {}
+        device = self.policy.device
         return {
             "policy": self.policy.about(),
             **({"planners": planners} if any(planners) else {}),
             "oracle": self.policy.oracle,
+            **({"device": device} if device != DEVICES[0] else {}),
             "weights": weights_of(self.policy),
             "served": served_parts(self.policy),
             "language": self.language,
@@ -220,6 +223,7 @@ class EvaluationConfig:
             ("--gta", "", policy.gta),
             ("--acting", policy.acting, policy.acting != self._usual),
             ("--adapter", policy.adapter, bool(policy.adapter)),
+            ("--device", policy.device, policy.device != DEVICES[0]),
             ("--timeout", f"{policy.timeout_s:g}", policy.timeout_s != TIMEOUT_S),
             ("--language", self.language, self.language != FULL),
         )

@@ -19,7 +19,14 @@ from lemma.policies.class_path import LEROBOT, checkpoint_of, privileged
 from lemma.policies.control.interfaces import CONTROL_OPTIONS, is_model_server
 from lemma.policies.interfaces import Composite, is_oracle
 from lemma.policies.planners.registry import PLANNERS, is_planner
-from lemma.policies.spec import FOREVER_S, ORACLE, PolicySpec, load_part, parts_of
+from lemma.policies.spec import (
+    DEVICES,
+    FOREVER_S,
+    ORACLE,
+    PolicySpec,
+    load_part,
+    parts_of,
+)
 from lemma.policies.weights import find_weights, published_weights
 from lemma.scene.cameras import CLOSE_PX
 from lemma.serve.conversation import ProtocolMode, Remote
@@ -49,8 +56,10 @@ def load_policy(spec: PolicySpec) -> Any:
         # Other processes get no privileged state.
         if ":" in name and spec.timeout_s > 0.0 and not privileged(name):
             return isolate(name, spec.timeout_s, dict(spec.arguments))
-        return load_part(name, dict(spec.arguments))
+        return load_part(name, dict(spec.arguments), spec.device)
 
+    if spec.device != DEVICES[0]:
+        _use_float32()
     found = spec.load(load)
     if is_oracle(found) and not spec.oracle:
         raise InvalidConfigError(
@@ -58,6 +67,33 @@ def load_policy(spec: PolicySpec) -> Any:
             "a class that is derived from lemma.policies.interfaces.Oracle."
         )
     return found
+
+
+def _use_float32() -> None:
+    """Use 24-bit mantissas on a GPU, as on a CPU; cuDNN's convolutions have 11 bits."""
+    import torch  # noqa: PLC0415 - only models on a GPU need it
+
+    torch.backends.cudnn.allow_tf32 = False
+    torch.backends.cudnn.deterministic = True
+
+
+def check_device(spec: PolicySpec) -> None:
+    """Check that a policy has a model to put on its device, and that there is one.
+
+    Raises:
+        InvalidConfigError: It has no model of this package, or there is no GPU.
+    """
+    if spec.device == DEVICES[0]:
+        return
+    if not learned_parts(spec.name):
+        raise InvalidConfigError(
+            f"{spec.name} has no model of this package, so a device does not apply. "
+            "Leave out --device; a policy of your own chooses its device itself."
+        )
+    import torch  # noqa: PLC0415 - only models on a GPU need it
+
+    if not torch.cuda.is_available():
+        raise InvalidConfigError("torch finds no CUDA GPU here. Leave out --device.")
 
 
 def hang_up(policy: Any) -> None:
