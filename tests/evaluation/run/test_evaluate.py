@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from command import run
 from made_up import timeless
 
@@ -19,6 +20,8 @@ from lemma.evaluation.protocol.rules import quote
 from lemma.evaluation.records import ABOUT, EPISODES, Row
 from lemma.evaluation.run.config import EvaluationConfig
 from lemma.evaluation.run.evaluate import evaluate
+from lemma.evaluation.run.loading import load_policy
+from lemma.policies import spec as specs
 from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import load_instance
@@ -26,9 +29,12 @@ from lemma.tasks.suite import load_instance
 TASKS = ("stack", "pass")
 
 
-def order(out: Path, policy: str = "oracle", **changes: Any) -> EvaluationConfig:
+def order(
+    out: Path, policy: str | PolicySpec = "oracle", **changes: Any
+) -> EvaluationConfig:
+    spec = PolicySpec(policy) if isinstance(policy, str) else policy
     wanted = {"tasks": TASKS, "episodes": 2, "kinds": ("high_level",), **changes}
-    return EvaluationConfig(out=out, policy=PolicySpec(policy), **wanted)
+    return EvaluationConfig(out=out, policy=spec, **wanted)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +174,33 @@ def test_perturbed_starts_are_solved_too(tmp_path: Path) -> None:
 def test_orders_are_checked(tmp_path: Path, wrong: dict[str, Any]) -> None:
     with pytest.raises((UnknownNameError, InvalidConfigError)):
         order(tmp_path, **wrong)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without GPU")
+@pytest.mark.parametrize(
+    ("policy", "problem"), [("reachnet", "no CUDA GPU"), ("oracle", "no model")]
+)
+def test_a_gpu_is_refused_where_it_is_no_use(
+    tmp_path: Path, policy: str, problem: str
+) -> None:
+    with pytest.raises(InvalidConfigError, match=problem):
+        order(tmp_path, replace(PolicySpec(policy), device="cuda"))
+
+
+def test_a_result_says_that_a_gpu_decided(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    here = order(tmp_path, "reachnet")
+    there = order(tmp_path, replace(here.policy, device="cuda"))
+    assert there.command() == f"{here.command()} --device cuda"
+    # It is the same policy, but a run must not continue on another device.
+    assert there.about() == here.about() | {"device": "cuda"}
+    loaded: list[tuple[str, str]] = []
+    monkeypatch.setattr(specs, "load_model", lambda *asked: loaded.append(asked))
+    with pytest.raises(InvalidConfigError):
+        load_policy(there.policy)
+    assert loaded == [("reachnet", "cuda")]
 
 
 # No success in n trials: up to z² / (n + z²).
