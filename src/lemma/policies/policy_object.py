@@ -10,6 +10,7 @@ from lemma.policies.interfaces import (
     Planner,
     Policy,
     Proposer,
+    can,
     is_oracle,
     keeps_state,
 )
@@ -21,7 +22,6 @@ from lemma.policies.spec import (
     PLANNINGS,
     Load,
     PolicySpec,
-    can,
 )
 
 
