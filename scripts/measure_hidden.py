@@ -3,8 +3,8 @@
     python scripts/measure_hidden.py [--episodes 60] [--row reachnet]
 
 The map is fused from the cameras above the robots, whose arms hide things. An object is
-hidden if the map is the same without it, but for FEWEST cells, and nothing lies on it.
-Printed are
+hidden if each of these images has fewer than FEWEST pixels of it, and nothing lies on
+it. Printed are
 
 - the instances of the test split in which a part of the goal, or the stick, is hidden
   at the first decision, and the success of all rows with and without it (high-level
@@ -15,15 +15,12 @@ Printed are
 
 import argparse
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lemma.core.tables import Table
 from lemma.env.camera_rig import TABLE_NAME, CameraRig
@@ -33,50 +30,54 @@ from lemma.evaluation.records import Row
 from lemma.evaluation.report.policy_results import read_results
 from lemma.evaluation.run.evaluate import start_of
 from lemma.evaluation.run.replay import play_again
+from lemma.scene.camera_mounts import CAMERA_HEIGHT_PX, CAMERA_WIDTH_PX
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import STICK
+from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 from lemma.tasks.suite import SUITE, load_instance
 
-FEWEST = 5
-"""Number of cells that make an object visible; a cube has about 40 of 8 mm."""
-COLOR, HEIGHT_M = 20, 0.005
-"""Differences of a cell that count."""
-FAR_M, FLAT_M = 50.0, 0.02
+FEWEST = 10
+"""Number of pixels that make an object visible; a cube has about 100."""
+FLAT_M = 0.02
+"""An object that lies on another has its middle at least so much higher [m]."""
 RESULTS = Path(__file__).parents[1] / "results"
 
 Place = tuple[str, int]
 """Task and number of an instance."""
-Images = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]
-"""The map's colors, heights and coverage, and the image of the camera above the
-table."""
 
 
 class Eye:
     """The cameras, with a look for hidden objects."""
 
     def __init__(self) -> None:
-        """Prepare the cameras."""
-        self.rig = CameraRig()
+        """Prepare the cameras, at the size from which maps are fused."""
+        self._rig = CameraRig()
+        self._renderer = Renderer(CAMERA_WIDTH_PX, CAMERA_HEIGHT_PX)
 
     def hidden(self, episode: Episode) -> Iterator[tuple[str, bool]]:
         """Yield the hidden parts of a goal, and whether the table camera sees them."""
         scene, goal = episode.simulation.scene, episode.instance.goal
         parts = {name for pair in goal.pairs for name in pair} | {STICK}
-        full = self._look(scene)
-        for name in scene.object_names:
-            if name in parts:
-                with taken_away(scene, name):
-                    without = self._look(scene)
-                few = differences(full, without) < FEWEST
-                if few and not is_below(scene, name):
-                    yield name, differing(full[3], without[3]).sum() >= FEWEST
+        robots = [self._count(scene, name) for name in scene.spec.robot_names]
+        above = self._count(scene, TABLE_NAME)
+        for name in parts & {*scene.object_names}:
+            seen = max(count[name] for count in robots) >= FEWEST
+            if not (seen or is_below(scene, name)):
+                yield name, above[name] >= FEWEST
 
-    def _look(self, scene: Scene) -> Images:
-        names = (*scene.spec.robot_names, TABLE_NAME)
-        view = self.rig.look(scene, cameras=names)
-        above = view.cameras[TABLE_NAME].rgb
-        return view.rgb, view.height_m, view.coverage, above
+    def _count(self, scene: Scene, camera: str) -> Counter[str | None]:
+        """Return the number of pixels of each object in a camera's image."""
+        data = scene.posed(scene.data.qpos)
+        calibrated = self._rig.calibrated(scene, data, camera)
+        geoms = self._renderer.segmentation(scene.model, data, calibrated)
+        bodies, counts = np.unique(
+            scene.model.geom_bodyid[geoms[geoms >= 0]], return_counts=True
+        )
+        found: Counter[str | None] = Counter()
+        for body, count in zip(bodies.tolist(), counts.tolist(), strict=True):
+            found[scene.entity_of_body(body)] += count
+        return found
 
 
 def is_below(scene: Scene, name: str) -> bool:
@@ -86,34 +87,6 @@ def is_below(scene: Scene, name: str) -> bool:
     return any(
         math.dist((x, y), at[:2]) < CUBE_EDGE_M and at[2] > z + FLAT_M for at in others
     )
-
-
-@contextmanager
-def taken_away(scene: Scene, name: str) -> Iterator[None]:
-    """Put an object far away within the context."""
-    if name in scene.movable_names:
-        address = scene.qpos_of(name)
-        position = scene.data.qpos[address : address + 3]
-    else:
-        position = scene.model.body(name).pos
-    before = position.copy()
-    position += FAR_M
-    try:
-        yield
-    finally:
-        position[:] = before
-
-
-def differences(one: Images, other: Images) -> int:
-    """Return the number of cells in which two maps differ."""
-    lifted = np.abs(one[1] - other[1]) > HEIGHT_M
-    return int((differing(one[0], other[0]) | lifted | (one[2] != other[2])).sum())
-
-
-def differing(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return where two images have different colors, (rows, columns)."""
-    found: NDArray[np.bool_] = np.abs(one.astype(int) - other).max(-1) > COLOR
-    return found
 
 
 def high_level(name: str) -> Iterator[Row]:

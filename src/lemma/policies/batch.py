@@ -146,6 +146,19 @@ def batch_of(
     )
 
 
+def check_gpu() -> None:
+    """Check that torch finds a GPU.
+
+    Raises:
+        InvalidConfigError: It finds none.
+    """
+    if not torch.cuda.is_available():
+        raise InvalidConfigError(
+            "No GPU is available: torch finds no CUDA device. Leave out --device, or "
+            "install a torch that is built for this machine's driver."
+        )
+
+
 def moved(batch: Batch, device: torch.device) -> Batch:
     """Return a batch with all its tensors on a device."""
 

@@ -26,6 +26,7 @@ from torch.overrides import TorchFunctionMode
 
 from lemma.core.errors import LemmaError, WeightsError
 from lemma.core.files import write_whole
+from lemma.policies.batch import check_gpu
 from lemma.policies.class_path import LEROBOT
 from lemma.policies.models.base import Model
 from lemma.policies.models.catalog import MODELS, make_model
@@ -203,8 +204,11 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         device: Device of the model.
 
     Raises:
+        InvalidConfigError: There is no GPU, and the device is one.
         WeightsError: The file is missing, damaged, or does not fit its model.
     """
+    if torch.device(device).type == "cuda":
+        check_gpu()
     metadata = read_metadata(path)
     if metadata.model.startswith(LEROBOT):
         raise WeightsError(

@@ -14,6 +14,7 @@ from made_up import timeless
 from lemma.core import plugins
 from lemma.core.errors import DatasetError, InvalidConfigError, UnknownNameError
 from lemma.core.workers.pool import ProcessPool, Serial
+from lemma.core.workers.resumable import begin
 from lemma.evaluation.analysis.rates import wilson_interval
 from lemma.evaluation.lines import read_rows
 from lemma.evaluation.protocol.rules import quote
@@ -24,6 +25,7 @@ from lemma.evaluation.run.loading import load_policy
 from lemma.policies import spec as specs
 from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.spec import PolicySpec
+from lemma.policies.weights import load_model
 from lemma.tasks.suite import load_instance
 
 TASKS = ("stack", "pass")
@@ -176,31 +178,40 @@ def test_orders_are_checked(tmp_path: Path, wrong: dict[str, Any]) -> None:
         order(tmp_path, **wrong)
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without GPU")
 @pytest.mark.parametrize(
-    ("policy", "problem"), [("reachnet", "no CUDA GPU"), ("oracle", "no model")]
+    ("policy", "problem"), [("reachnet", "No GPU"), ("oracle", "no model")]
 )
 def test_a_gpu_is_refused_where_it_is_no_use(
-    tmp_path: Path, policy: str, problem: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str, problem: str
 ) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InvalidConfigError, match=problem):
-        order(tmp_path, replace(PolicySpec(policy), device="cuda"))
+        order(tmp_path, PolicySpec(policy, device="cuda"))
+    with pytest.raises(InvalidConfigError, match="No GPU"):
+        load_model("reachnet", "cuda")
 
 
 def test_a_result_says_that_a_gpu_decided(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", True)
+    monkeypatch.setattr(torch.backends.cudnn, "deterministic", False)
     here = order(tmp_path, "reachnet")
-    there = order(tmp_path, replace(here.policy, device="cuda"))
+    there = order(tmp_path, PolicySpec("reachnet", device="cuda"))
     assert there.command() == f"{here.command()} --device cuda"
     # It is the same policy, but a run must not continue on another device.
     assert there.about() == here.about() | {"device": "cuda"}
-    loaded: list[tuple[str, str]] = []
-    monkeypatch.setattr(specs, "load_model", lambda *asked: loaded.append(asked))
-    with pytest.raises(InvalidConfigError):
-        load_policy(there.policy)
+    begin(tmp_path, ABOUT, here.about())
+    (tmp_path / EPISODES).write_text("{}\n")
+    with pytest.raises(DatasetError, match="device"):
+        begin(tmp_path, ABOUT, there.about())
+    model, loaded = load_model("reachnet"), []
+    monkeypatch.setattr(specs, "load_model", lambda *a: (loaded.append(a), model)[1])
+    assert load_policy(there.policy) is model
     assert loaded == [("reachnet", "cuda")]
+    assert not torch.backends.cudnn.allow_tf32
+    assert torch.backends.cudnn.deterministic
 
 
 # No success in n trials: up to z² / (n + z²).

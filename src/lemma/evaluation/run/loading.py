@@ -70,7 +70,7 @@ def load_policy(spec: PolicySpec) -> Any:
 
 
 def _use_float32() -> None:
-    """Use 24-bit mantissas on a GPU, as on a CPU; cuDNN's convolutions have 11 bits."""
+    """Use float32 on a GPU, too; by default its convolutions round to 11 bits."""
     import torch  # noqa: PLC0415 - only models on a GPU need it
 
     torch.backends.cudnn.allow_tf32 = False
@@ -90,10 +90,9 @@ def check_device(spec: PolicySpec) -> None:
             f"{spec.name} has no model of this package, so a device does not apply. "
             "Leave out --device; a policy of your own chooses its device itself."
         )
-    import torch  # noqa: PLC0415 - only models on a GPU need it
+    from lemma.policies.batch import check_gpu  # noqa: PLC0415 - it needs torch
 
-    if not torch.cuda.is_available():
-        raise InvalidConfigError("torch finds no CUDA GPU here. Leave out --device.")
+    check_gpu()
 
 
 def hang_up(policy: Any) -> None:

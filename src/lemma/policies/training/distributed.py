@@ -10,6 +10,7 @@ from torch import Tensor
 from torch import distributed as dist
 
 from lemma.core.errors import InvalidConfigError
+from lemma.policies.batch import check_gpu
 
 
 @dataclass(frozen=True)
@@ -102,13 +103,9 @@ def _check_torchrun(count: int) -> None:
 
 
 def _device(name: str) -> torch.device:
-    there = torch.cuda.is_available()
-    if name == "cuda" and not there:
-        raise InvalidConfigError(
-            "No GPU is available: torch finds no CUDA device. Leave out --device, or "
-            "install a torch that is built for this machine's driver."
-        )
-    if name == "cpu" or not there:
+    if name == "cuda":
+        check_gpu()
+    if name == "cpu" or not torch.cuda.is_available():
         return torch.device("cpu")
     # Batches of episodes differ in size, which fragments memory without this setting.
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")
