@@ -148,7 +148,7 @@ def evaluate(
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.pair_table import pair_table
     from lemma.evaluation.report.tables import rates
-    from lemma.evaluation.report.team_table import team_table
+    from lemma.evaluation.report.team_table import idle_table, team_table
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)
@@ -171,7 +171,9 @@ def evaluate(
     else:
         output().print(rates(result.cells).terminal())
         if teams:
-            output().print(team_table(teams).terminal())
+            for table in (team_table, idle_table):
+                output().print()
+                output().print(table(teams).terminal())
         for line in effort_lines(result):
             output().print(line)
     return 0

@@ -1,10 +1,13 @@
 """Scores of teams: counted as they are defined."""
 
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from made_up import ABOUT, row, step
+from rich.console import Console
 
 from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.analysis.team_scores import team_scores
@@ -12,7 +15,8 @@ from lemma.evaluation.protocol.schedules import executed_s
 from lemma.evaluation.records import Row
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.report.sections import page
-from lemma.evaluation.report.team_table import team_table
+from lemma.evaluation.report.team_table import idle_table, team_table
+from lemma.tasks.names import SUITES
 from lemma.tasks.suite import load_instance
 
 
@@ -51,9 +55,19 @@ def test_failures_have_no_makespan_and_score_nothing() -> None:
     assert found.schedule_score is not None
     assert found.schedule_score <= 0.5
     (failed,) = team_scores([relay(success=False)])
-    lines = team_table([failed]).markdown().splitlines()
-    assert "| makespan [s] | – |" in lines
-    assert "| success | 0 of 1 |" in lines
+    (row,) = team_table([failed]).rows
+    assert row[:3] == ("relay", "0 of 1", "–")
+
+
+def test_all_tasks_of_the_suite_fit_into_a_terminal() -> None:
+    (one,) = team_scores([relay(success=False)])
+    many = replace(one, episodes=200, successes=100, makespan_s=100.0, clearance_mm=1e3)
+    scores = [replace(many, task=task) for task in SUITES["teams"]]
+    for table in (team_table(scores), idle_table(scores)):
+        screen = StringIO()
+        Console(width=80, file=screen).print(table.terminal())
+        assert "…" not in screen.getvalue()
+        assert all(task in screen.getvalue() for task in SUITES["teams"])
 
 
 def test_turns_of_the_papers_suite_are_no_teams() -> None:
@@ -67,4 +81,6 @@ def test_summaries_and_reports_have_the_table(tmp_path: Path) -> None:
     made.write(tmp_path / "summary.json")
     read = read_result(tmp_path / "summary.json")
     assert read == made
-    assert team_table(made.teams).markdown() in page([PolicyResults("Us", (read,))])
+    shown = page([PolicyResults("Us", (read,))])
+    assert team_table(made.teams).markdown() in shown
+    assert idle_table(made.teams).markdown() in shown

@@ -1,4 +1,7 @@
-"""The table of robots that act together: success and use of time."""
+"""Tables of robots that act together: success and use of time.
+
+Their rows are tasks, so that all tasks of a suite fit into a terminal of 80 columns.
+"""
 
 from collections.abc import Sequence
 
@@ -8,24 +11,38 @@ from lemma.evaluation.report.policy_results import NOTHING
 
 
 def team_table(scores: Sequence[TeamScores]) -> Table:
-    """Return success, makespan, idle time by cause and clearance, a column per task.
+    """Return success, makespan, scores and clearance of each task."""
+    header = (
+        "success",
+        "makespan [s]",
+        "/ oracle",
+        "score",
+        "concurrency",
+        "clearance [mm]",
+    )
+    rows = (
+        (
+            one.task,
+            f"{one.successes} of {one.episodes}",
+            _number(one.makespan_s, 1),
+            _number(one.over_oracle, 2),
+            _number(one.schedule_score, 2),
+            _number(one.concurrency, 2),
+            _number(one.clearance_mm, 0),
+        )
+        for one in scores
+    )
+    return Table(("task", *header), tuple(rows), labels=1)
 
-    Args:
-        scores: Scores of each task.
-    """
-    rows = [
-        ("success", *(f"{one.successes} of {one.episodes}" for one in scores)),
-        ("makespan [s]", *(_number(one.makespan_s, 1) for one in scores)),
-        ("over executed oracle", *(_number(one.over_oracle, 2) for one in scores)),
-        ("schedule score", *(_number(one.schedule_score, 2) for one in scores)),
-        ("concurrency", *(_number(one.concurrency, 2) for one in scores)),
-    ]
-    for cause in CAUSES:
-        shares = (_number(100.0 * one.idle[cause], 0) for one in scores)
-        rows.append((f"idle: {cause.replace('_', ' ')} [%]", *shares))
-    gaps = (_number(one.clearance_mm, 0) for one in scores)
-    rows.append(("least clearance [mm]", *gaps))
-    return Table(("", *(one.task for one in scores)), tuple(rows))
+
+def idle_table(scores: Sequence[TeamScores]) -> Table:
+    """Return the robots' idle time in each task, in percent by cause."""
+    rows = (
+        (one.task, *(_number(100.0 * one.idle[cause], 0) for cause in CAUSES))
+        for one in scores
+    )
+    causes = (cause.replace("_", " ") for cause in CAUSES)
+    return Table(("idle [%]", *causes), tuple(rows), labels=1)
 
 
 def _number(value: float | None, digits: int) -> str:
