@@ -18,7 +18,7 @@ def team_table(scores: Sequence[TeamScores]) -> Table:
         "/ oracle",
         "score",
         "concurrency",
-        "clearance [mm]",
+        "clearance",
     )
     rows = (
         (
@@ -28,7 +28,7 @@ def team_table(scores: Sequence[TeamScores]) -> Table:
             _number(one.over_oracle, 2),
             _number(one.schedule_score, 2),
             _number(one.concurrency, 2),
-            _number(one.clearance_mm, 0),
+            _number(one.clearance_mm, 0, " mm"),
         )
         for one in scores
     )
@@ -45,5 +45,5 @@ def idle_table(scores: Sequence[TeamScores]) -> Table:
     return Table(("idle [%]", *causes), tuple(rows), labels=1)
 
 
-def _number(value: float | None, digits: int) -> str:
-    return NOTHING if value is None else f"{value:.{digits}f}"
+def _number(value: float | None, digits: int, unit: str = "") -> str:
+    return NOTHING if value is None else f"{value:.{digits}f}{unit}"
