@@ -148,7 +148,7 @@ def evaluate(
     from lemma.evaluation.records import SUMMARY, read_about
     from lemma.evaluation.report.pair_table import pair_table
     from lemma.evaluation.report.tables import rates
-    from lemma.evaluation.report.team_table import idle_table, team_table
+    from lemma.evaluation.report.team_table import team_tables
     from lemma.evaluation.run.evaluate import evaluate as run
 
     config = _config(policy, out, ask, model)
@@ -170,10 +170,8 @@ def evaluate(
         output().print(pair_table((p.kind, p) for p in result.pairs).terminal())
     else:
         output().print(rates(result.cells).terminal())
-        if teams:
-            for table in (team_table, idle_table):
-                output().print()
-                output().print(table(teams).terminal())
+        for table in team_tables(teams).values():
+            output().print("", table.terminal(), sep="\n")
         for line in effort_lines(result):
             output().print(line)
     return 0

@@ -12,7 +12,7 @@ from lemma.core.workers.pool import Engine, ProcessPool, Serial
 from lemma.evaluation.analysis.result import Result, summarise
 from lemma.evaluation.records import ABOUT, SUMMARY, Row, read_about
 from lemma.evaluation.report.tables import rates
-from lemma.evaluation.report.team_table import idle_table, team_table
+from lemma.evaluation.report.team_table import team_tables
 from lemma.evaluation.run.config import (
     VERDICTS,
     EvaluationConfig,
@@ -62,9 +62,8 @@ class Evaluation:
         If robots act together, also return their use of time.
         """
         text = rates(self.result.cells).markdown()
-        teams = self.result.teams
-        for table in (team_table, idle_table) if teams else ():
-            text += f"\n{table(teams).markdown()}"
+        for table in team_tables(self.result.teams).values():
+            text += f"\n{table.markdown()}"
         if self.errors:
             text += (
                 f"\n{len(self.errors)} of {len(self.rows)} episodes failed because the "

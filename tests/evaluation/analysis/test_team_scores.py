@@ -15,7 +15,7 @@ from lemma.evaluation.protocol.schedules import executed_s
 from lemma.evaluation.records import Row
 from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.evaluation.report.sections import page
-from lemma.evaluation.report.team_table import idle_table, team_table
+from lemma.evaluation.report.team_table import team_tables
 from lemma.tasks.names import SUITES
 from lemma.tasks.suite import load_instance
 
@@ -55,7 +55,7 @@ def test_failures_have_no_makespan_and_score_nothing() -> None:
     assert found.schedule_score is not None
     assert found.schedule_score <= 0.5
     (failed,) = team_scores([relay(success=False)])
-    (row,) = team_table([failed]).rows
+    (row,) = team_tables([failed])["use of time"].rows
     assert row[:3] == ("relay", "0 of 1", "–")
 
 
@@ -63,7 +63,7 @@ def test_all_tasks_of_the_suite_fit_into_a_terminal() -> None:
     (one,) = team_scores([relay(success=False)])
     many = replace(one, episodes=200, successes=100, makespan_s=100.0, clearance_mm=1e3)
     scores = [replace(many, task=task) for task in SUITES["teams"]]
-    for table in (team_table(scores), idle_table(scores)):
+    for table in team_tables(scores).values():
         screen = StringIO()
         Console(width=80, file=screen).print(table.terminal())
         assert "…" not in screen.getvalue()
@@ -82,5 +82,6 @@ def test_summaries_and_reports_have_the_table(tmp_path: Path) -> None:
     read = read_result(tmp_path / "summary.json")
     assert read == made
     shown = page([PolicyResults("Us", (read,))])
-    assert team_table(made.teams).markdown() in shown
-    assert idle_table(made.teams).markdown() in shown
+    for title, table in team_tables(made.teams).items():
+        assert title in shown
+        assert table.markdown() in shown

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 import shlex
 from dataclasses import replace
 from functools import wraps
@@ -307,6 +308,28 @@ def test_reproduce_says_whether_policies_decide_as_published(
         assert run("reproduce", "oracle", "--check", "--out", tmp_path) == code
         told = capsys.readouterr().out
         assert f"oracle: {2 - code} of 2 episodes are equal" in told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_gpu_decides_as_a_cpu(seed: int) -> None:
+    # One row was played on a GPU and the other not, both with one renderer. Their
+    # first decisions are of the same images.
+    names = ("et-cliport-single-step", "et-cliport-multi-step")
+    paths = [EXPERIMENTS[name].summary_path(RESULTS, seed) for name in names]
+    assert [read_result(p).about.get("device") for p in paths] == ["cuda", None]
+    there, here = (list(read_lines(packed_beside(path))) for path in paths)
+    assert len(there) == len(here) == 1920
+    for one, other in zip(there, here, strict=True):
+        assert key_of(one) == key_of(other)
+        first, same = one["subtasks"][0], other["subtasks"][0]
+        for name in ("robot", "primitive", "pick", "place"):
+            assert first[name] == same[name]
+        for end in ("pick", "place"):
+            *xy, yaw = first["grounded"][end]
+            *xy_too, yaw_too = same["grounded"][end]
+            assert math.dist(xy, xy_too) < 1e-5
+            assert abs(yaw - yaw_too) < 1e-4
 
 
 @pytest.mark.slow

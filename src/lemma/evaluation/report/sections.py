@@ -190,15 +190,11 @@ def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
         "How exact the poses are": tables.precision(entries, "high_level"),
         "Coordination": measures.coordination(entries, "high_level"),
         **{
-            f"{entry.title}: {name}{seed}": table(result.teams)
+            f"{entry.title}: {name}{seed}": table
             for entry in entries
             for result in entry.results
             for seed in [f", seed {result.seed}" if entry.results[1:] else ""]
-            for name, table in (
-                ("use of time", team_table.team_table),
-                ("idle time", team_table.idle_table),
-            )
-            if result.teams
+            for name, table in team_table.team_tables(result.teams).items()
         },
     }
 

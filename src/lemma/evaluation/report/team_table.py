@@ -10,7 +10,14 @@ from lemma.evaluation.analysis.team_scores import CAUSES, TeamScores
 from lemma.evaluation.report.policy_results import NOTHING
 
 
-def team_table(scores: Sequence[TeamScores]) -> Table:
+def team_tables(scores: Sequence[TeamScores]) -> dict[str, Table]:
+    """Return the tables of scores by title; none without scores."""
+    if not scores:
+        return {}
+    return {"use of time": _use_of_time(scores), "idle time": _idle_time(scores)}
+
+
+def _use_of_time(scores: Sequence[TeamScores]) -> Table:
     """Return success, makespan, scores and clearance of each task."""
     header = (
         "success",
@@ -35,7 +42,7 @@ def team_table(scores: Sequence[TeamScores]) -> Table:
     return Table(("task", *header), tuple(rows), labels=1)
 
 
-def idle_table(scores: Sequence[TeamScores]) -> Table:
+def _idle_time(scores: Sequence[TeamScores]) -> Table:
     """Return the robots' idle time in each task, in percent by cause."""
     rows = (
         (one.task, *(_number(100.0 * one.idle[cause], 0) for cause in CAUSES))
