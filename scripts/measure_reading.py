@@ -13,7 +13,7 @@ import argparse
 import time
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
@@ -28,13 +28,16 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
 )
 from lemma.policies.models.reachnet.model import ReachNet
-from lemma.policies.models.reachnet.understanding import goal_numbers
+from lemma.policies.models.reachnet.understanding import (
+    draw_goal,
+    goal_numbers,
+    kinds_of,
+)
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.refusals import refusal_bank
 from lemma.policies.weights import load_model
 from lemma.scene.objects.entity import ENTITIES
-from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import instruct, templates
 from lemma.tasks.language.template import GoalPairs, Template
 from lemma.tasks.suite import SUITE
@@ -53,17 +56,6 @@ Asked = tuple[str, Template]
 CPU = torch.device("cpu")
 
 
-def draw_goal(kinds: Sequence[tuple[str, str]], rng: np.random.Generator) -> GoalPairs:
-    """Draw a goal of some kinds of pairs; no entity occurs twice."""
-    left = {
-        kind: list(rng.permutation(list(BENCHMARK_COLORS))) for kind in ("cube", "pad")
-    }
-    return tuple(
-        (f"{left[top].pop()}_{top}", f"{left[bottom].pop()}_{bottom}")
-        for top, bottom in kinds
-    )
-
-
 def draw_scene(goal: GoalPairs, rng: np.random.Generator) -> Tensor:
     """Return the entities of a scene with up to 3 distractors, (entities,) bool."""
     present = torch.zeros(len(ENTITIES), dtype=torch.bool)
@@ -72,13 +64,6 @@ def draw_scene(goal: GoalPairs, rng: np.random.Generator) -> Tensor:
     others = rng.permutation([i for i in colored if not present[i]])
     present[others[: int(rng.integers(0, 4))].tolist()] = True
     return present
-
-
-def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
-    """Return the kinds of the pairs of a task's goal."""
-    found = templates(task, "high_level")[0].entity_kinds
-    assert found is not None
-    return found
 
 
 def batches(

@@ -15,6 +15,7 @@ from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.models.base import MODELS
 from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
 from lemma.policies.models.reachnet.scene_table import true_table
+from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import Primitive, SubTask
 
 tiny = partial(tiny_model, "reachnet")
@@ -82,20 +83,46 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
             assert math.dist(pose.xy, wanted[:2].tolist()) < 0.02
 
 
-@pytest.mark.parametrize(("lessons", "count"), [(0.0, 0), (0.15, 1), (0.9, 4)])
+@pytest.mark.parametrize(
+    ("lessons", "orders", "count"), [(0.0, 0.0, 0), (0.15, 0.0, 1), (0.9, 0.6, 7)]
+)
 def test_lessons_for_the_reader_come_behind_the_instructions(
-    lessons: float, count: int
+    lessons: float, orders: float, count: int
 ) -> None:
     model, batch = tiny(), drawn_batch(4)
-    model.reader.config = replace(model.reader.config, lessons=lessons)
+    model.reader.config = replace(model.reader.config, lessons=lessons, orders=orders)
     told = model.text_tensors(batch)
     assert len(told["goal"]) == len(told["reasons"]) == 4 + count
     assert told["words"].shape[1] == 4 + count
     assert (told["reasons"][:4] == -1).all()
+    ordered = told["goal"].shape[0] - math.ceil(4 * orders)
+    assert (told["reasons"][ordered:] == -1).all()
+    assert (told["goal"][ordered:, 0] >= 0).all()
     ((top, bottom),) = batch.labels.goals[0] if batch.labels else ()
     assert told["goal"][0, 0].tolist() == [
         batch.entities.number(name) for name in (top, bottom)
     ]
+
+
+@pytest.mark.parametrize(("seen", "used"), [(0.1, True), (0.01, False)])
+def test_a_hardly_visible_thing_counts_if_the_instruction_names_it(
+    seen: float, used: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, batch = tiny(), drawn_batch(1)
+    marks, coarse = model.eye(batch)
+    points = torch.full_like(marks.points, -30.0)
+    named, other, cell = ENTITIES.index("red_cube"), ENTITIES.index("blue_cube"), 77
+    points[:, :, -1] = 0.0
+    points[:, [named, other], cell] = math.log(seen)
+    points[:, [named, other], -1] = math.log(1.0 - seen)
+    marks = replace(marks, points=points, offsets=torch.zeros_like(marks.offsets))
+    monkeypatch.setattr(model.eye, "forward", lambda batch: (marks, coarse))
+    goal = torch.tensor([[[named, ENTITIES.index("red_pad")], [-1, -1]]])
+    monkeypatch.setattr(
+        model.reader, "read", lambda texts, present: (goal, torch.tensor([-1]))
+    )
+    (insight,) = model.explain(inputs_of(batch))
+    assert [thing.name for thing in insight.objects] == ["red_cube"] * used
 
 
 @pytest.mark.slow

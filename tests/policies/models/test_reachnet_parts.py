@@ -22,8 +22,11 @@ from lemma.policies.models.reachnet.planner import (
     number_of,
 )
 from lemma.policies.models.reachnet.scene_table import (
+    BAR_M,
     COLUMNS,
     FAR_M,
+    GRASP_M,
+    HEADING_M,
     SceneTable,
     folded,
     turned,
@@ -37,6 +40,7 @@ from lemma.policies.models.reachnet.utility import (
     DragUtility,
 )
 from lemma.policies.text.refusals import REASON_NAMES
+from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.drags import stick_gap
 
@@ -74,6 +78,11 @@ def table(**places: tuple[float, float, float]) -> SceneTable:
 
 def row(*numbers: int) -> Tensor:
     return torch.tensor([numbers])
+
+
+def test_the_point_that_shows_the_yaw_of_a_stick_is_nearer_than_what_it_hooks() -> None:
+    # A hooked cube touches the bar from inside; cubes are on the map, the bar may not.
+    assert 0.5 < HEADING_M <= GRASP_M + BAR_M[0] - CUBE_EDGE_M
 
 
 def test_every_sub_task_has_one_number() -> None:

@@ -44,8 +44,7 @@ def test_the_seal_holds() -> None:
 
 
 def test_vocabulary_paraphrases_and_sentences_do_without_them() -> None:
-    told = {*vocabulary(), *grammar().words}
-    assert len(Vocabulary()) == len(told) + 2
+    assert set(Vocabulary().words) <= {*vocabulary(), *grammar().words}
     assert any(neighbours(word) for word in vocabulary())
     for task in SUITE:
         record = made_up(task, "train", 1)

@@ -14,7 +14,6 @@ from importlib.resources import files
 import numpy as np
 
 from lemma.core.poses import FloatArray
-from lemma.policies.text.grammar import grammar
 from lemma.scene.objects.palette import BENCHMARK_COLORS
 from lemma.tasks.language.bank import vocabulary, words
 
@@ -100,16 +99,22 @@ def _neighbours() -> dict[str, tuple[str, ...]]:
 
 
 class Vocabulary:
-    """The training vocabulary, numbered from 2."""
+    """Words with learned embeddings, numbered from 2: ``data/vocabulary.txt``.
+
+    The list is frozen, because weights count its words. It has the words of the
+    training templates and most of those of the rules. Words that rules got later are
+    read by their vectors, as those of test sentences are.
+    """
 
     def __init__(self, english: Iterable[str] = ()) -> None:
-        """Number the words of :func:`lemma.tasks.language.bank.vocabulary`.
+        """Number the words.
 
         Args:
             english: Other words that are no typing errors: ``"rod"`` does not become
                 ``"red"``.
         """
-        self.words = tuple(sorted({*vocabulary(), *grammar().words}))
+        source = files("lemma.policies.text") / "data" / "vocabulary.txt"
+        self.words = tuple(source.read_text(encoding="ascii").split())
         self.numbers = {word: i for i, word in enumerate(self.words, UNKNOWN + 1)}
         self.colors = tuple(self.numbers[color] for color in BENCHMARK_COLORS)
         self._english = frozenset(english)

@@ -75,6 +75,9 @@ class ReaderConfig:
     """Number of sentences for the reader alone, per frame of a training batch:
     sentences to refuse, and orders that look similar. Only for a reader that
     refuses."""
+    orders: Share = 0.9
+    """Number of paraphrased orders for the reader alone, per frame, with goals of any
+    task. Only for a reader that refuses."""
     refuse_from: Share = 0.7
     """Probability of refusal from which the policy stops."""
     temperature: Temperature = 1.8

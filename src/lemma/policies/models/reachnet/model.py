@@ -51,6 +51,7 @@ from lemma.policies.models.reachnet.scene_table import (
     SceneTable,
     disturbed,
     needed_entities,
+    numbered,
     true_radii,
     true_table,
     turned,
@@ -214,9 +215,8 @@ class ReachNet(MapModel):
             pasts.append(past)
             wanted.append(decision)
             # Only frames in which the entities of the sub-task are seen.
-            numbers = torch.arange(len(batch.entities), device=self.device)
-            named = (decision[:, 2:, None] == numbers).any(1)
-            counts.append((seen.present | ~named).all(1))
+            moved = numbered(decision[:, 2:], len(batch.entities))
+            counts.append((seen.present | ~moved).all(1))
         scores = self.planner(
             SceneTable.joined(draws),
             goal.repeat(len(draws), 1, 1),
@@ -277,7 +277,10 @@ class ReachNet(MapModel):
             for batch in self.batches(inputs):
                 rows = numbers[len(found) : len(found) + len(batch)]
                 decision = torch.tensor(rows, device=self.device)
-                found += self._grounded(self.eye.see(batch), decision)
+                marks, coarse = self.eye(batch)
+                named = self.eye.faint(marks) & numbered(decision[:, 2:], len(entities))
+                table = self.eye.table(marks, coarse, batch, named)
+                found += self._grounded(table, decision)
         return found
 
     def act(self, inputs: Sequence[PolicyInput]) -> list[Decision]:
@@ -306,8 +309,8 @@ class ReachNet(MapModel):
         found: list[Understanding] = []
         with self.deciding():
             for batch in self.batches(inputs):
-                present = self.eye.see(batch).present
-                read = self.reader.weigh(batch.instructions, present)
+                seen = self.eye.faint(self.eye(batch)[0])
+                read = self.reader.weigh(batch.instructions, seen)
                 names, refuses = batch.entities.places, self.config.reader.refuses
                 found += understood(read, names, refuses=refuses)
         return found
@@ -361,9 +364,12 @@ class ReachNet(MapModel):
             the reason for refusal, (B,), -1 for an order. After a refusal only ``stop``
             is possible.
         """
-        table = self.eye.see(batch)
-        goal, reasons = self.reader.read(batch.instructions, table.present)
+        marks, coarse = self.eye(batch)
+        faint = self.eye.faint(marks)
+        goal, reasons = self.reader.read(batch.instructions, faint)
         with torch.autocast(self.device.type, enabled=False):
+            named = faint & numbered(goal.flatten(1), len(batch.entities))
+            table = self.eye.table(marks, coarse, batch, named)
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
         robots = self.config.robots
         for row, subtasks in enumerate(failed):

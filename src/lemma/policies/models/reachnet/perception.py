@@ -1,6 +1,6 @@
 """ReachNet's perception: from a top-down map to poses of entities and robots.
 
-A U-Net predicts the cell of each entity, of the far end of the stick and of each
+A U-Net predicts the cell of each entity, of a point ahead on the stick and of each
 robot's base, the offset in the cell, and the yaw of cubes. Each softmax over cells has
 one more class for "not present".
 """
@@ -25,8 +25,8 @@ from lemma.policies.layers import (
 from lemma.policies.models.grid import Cells
 from lemma.policies.models.reachnet.scene_table import (
     COLUMNS,
-    FAR_END_M,
     FAR_M,
+    HEADING_M,
     SceneTable,
 )
 from lemma.scene.raster import RASTER
@@ -46,6 +46,10 @@ _NEAR = 1
 _CELLS = math.log(RASTER.rows * RASTER.columns / STRIDE**2)
 _MARKS = 3.0
 _NEAR_HEIGHT_CELLS = 1
+_FAINT = 0.03
+"""Probability from which an entity counts as present if the instruction names it. Of
+17 parts of goals between this and a half, in the keyframes of the split val, 16 were
+within 2 cm of where they were seen."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class PerceptionConfig:
 class Marks:
     """Output of the U-Net for B maps of H x W cells, with R robots and N points.
 
-    The points are the entities and the far end of the stick.
+    The points are the entities and one ahead on the stick.
     """
 
     points: Tensor
@@ -211,11 +215,10 @@ class Perception(nn.Module):
         logits: Tensor = self.ground(F.adaptive_avg_pool1d(profile, COLUMNS))
         return logits.squeeze(1).float()
 
-    def see(self, batch: Batch) -> SceneTable:
-        """Return the scene tables of a batch."""
-        marks, coarse = self(batch)
-        with torch.autocast(coarse.device.type, enabled=False):
-            return self.table(marks, coarse, batch)
+    def faint(self, marks: Marks) -> Tensor:
+        """Return which entities may be there, though hardly visible, (B, E) bool."""
+        absent = marks.points[:, : len(self.entities), -1]
+        return absent < math.log(1.0 - _FAINT)
 
     def table(
         self,
@@ -282,7 +285,7 @@ class Perception(nn.Module):
         stick = table.stick
         yaw = table.yaw[:, stick]
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
-        end = table.xy[:, stick] + FAR_END_M * along
+        end = table.xy[:, stick] + HEADING_M * along
         xy = torch.cat([table.xy, end[:, None], table.bases], 1)
         there = torch.cat(
             [

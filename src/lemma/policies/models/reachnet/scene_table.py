@@ -61,9 +61,9 @@ AXES_M = tuple(map(_axis, STICK_KIND.parts))
 _BAR = max(AXES_M, key=lambda axis: axis[0] + axis[2])
 BAR_M = (0.5 * (_BAR[0] + _BAR[2]), 0.5 * (_BAR[1] + _BAR[3]))
 """Center of the outermost part, which drags objects, in the gripper's frame [m]."""
-FAR_END_M = max(0.0, *(max(u, v) for u, _, v, _ in AXES_M)) + GRASP_M
-"""Position of the stick's far end on its x axis [m]; perception predicts it to get the
-stick's yaw."""
+HEADING_M = 0.6
+"""Position of a point on the stick's x axis [m], which perception predicts to get the
+yaw. The far end, at 0.75 m, is off the map when it hooks a cube at the edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,12 +344,21 @@ def needed_entities(decision: Tensor, goal: Tensor, count: int) -> Tensor:
         goal: (B, conjuncts, 2) int64; -1 for none.
         count: E.
     """
-    named = torch.cat([decision[:, 2:], goal.flatten(1)], 1)
-    named = torch.where((named < 0) | (named >= count), count, named)
-    hot = torch.zeros(len(decision), count + 1, device=decision.device)
-    hot.scatter_(1, named, 1.0)
-    hot[:, count - 1].fill_(1.0)
-    return hot[:, :count] > 0
+    needed = numbered(torch.cat([decision[:, 2:], goal.flatten(1)], 1), count)
+    needed[:, count - 1].fill_(True)
+    return needed
+
+
+def numbered(numbers: Tensor, count: int) -> Tensor:
+    """Return the mask of the entities with some numbers, (B, N) to (B, E).
+
+    Args:
+        numbers: (B, N) int64; others than those of entities count for nothing.
+        count: E.
+    """
+    inside = torch.where((numbers < 0) | (numbers >= count), count, numbers)
+    hot = torch.zeros(len(numbers), count + 1, device=numbers.device)
+    return hot.scatter_(1, inside, 1.0)[:, :count] > 0
 
 
 def stick_distance(grasp: Tensor, yaw: Tensor, points: Tensor) -> Tensor:

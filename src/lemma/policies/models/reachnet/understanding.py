@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,8 +16,12 @@ from lemma.policies.models.reachnet.goal_reader import (
     Readings,
 )
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
+from lemma.policies.text.paraphrase import one_of, paraphrase
 from lemma.policies.text.refusals import REASONS, refusal_bank
+from lemma.scene.objects.palette import BENCHMARK_COLORS
+from lemma.tasks.language.bank import templates
 from lemma.tasks.language.template import GoalPairs
+from lemma.tasks.suite import SUITE
 
 WHY = tuple(REASONS.values())
 """Explanations of refusals by the index of the reason."""
@@ -26,7 +31,7 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
     """Return training sentences with their goals and reasons for refusal.
 
     After the instructions of the batch come sentences for the reader alone: those to
-    refuse, and orders that look similar.
+    refuse, orders that look similar, and orders with other goals.
 
     Args:
         reader: Its options determine whether it refuses, and the number of these
@@ -46,12 +51,39 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
         rng, bank = stream("refusals", *batch.instructions), refusal_bank()
         count = math.ceil(reader.config.lessons * len(batch))
         said += [bank.draw(rng) for _ in range(count)]
+        count = math.ceil(reader.config.orders * len(batch))
+        said += [(*draw_order(rng), -1) for _ in range(count)]
     texts, goals, reasons = map(list, zip(*said, strict=True))
     return {
         "goal": goal_numbers(goals, device, batch.entities),
         "words": torch.stack(reader.sentences.read(texts, device)),
         "reasons": torch.tensor(reasons, device=device),
     }
+
+
+def draw_order(rng: np.random.Generator) -> tuple[str, GoalPairs]:
+    """Return a paraphrased instruction of some task, and its goal."""
+    task = one_of(SUITE, rng)
+    goal = draw_goal(kinds_of(task), rng)
+    return paraphrase(task, goal, rng), goal
+
+
+def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
+    """Return the kinds of the (top, bottom) pairs of a task's goal."""
+    found = templates(task, "high_level")[0].entity_kinds
+    assert found is not None
+    return found
+
+
+def draw_goal(kinds: Sequence[tuple[str, str]], rng: np.random.Generator) -> GoalPairs:
+    """Return a goal with pairs of some kinds, in which no entity occurs twice."""
+    left = {
+        kind: list(rng.permutation(list(BENCHMARK_COLORS))) for kind in ("cube", "pad")
+    }
+    return tuple(
+        (f"{left[top].pop()}_{top}", f"{left[bottom].pop()}_{bottom}")
+        for top, bottom in kinds
+    )
 
 
 def understood(
