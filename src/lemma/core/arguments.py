@@ -38,6 +38,8 @@ Count = Annotated[int, msgspec.Meta(ge=1, le=1024)]
 """A number of items without weights."""
 Share = Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)]
 """A fraction in [0, 1)."""
+Ratio = Annotated[float, msgspec.Meta(ge=0.0, le=16.0)]
+"""Number of items per item of another kind."""
 Deviation = Annotated[float, msgspec.Meta(ge=0.0, le=10.0)]
 """Standard deviation of noise."""
 Size = Annotated[float, msgspec.Meta(gt=0.0, le=1.0)]

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.arguments import Count, Depth, Share, Temperature, Width
+from lemma.core.arguments import Count, Depth, Ratio, Share, Temperature, Width
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import TransformerLayer, made_without_numbers
@@ -75,7 +75,7 @@ class ReaderConfig:
     """Number of sentences for the reader alone, per frame of a training batch:
     sentences to refuse, and orders that look similar. Only for a reader that
     refuses."""
-    orders: Share = 0.9
+    orders: Ratio = 2.0
     """Number of paraphrased orders for the reader alone, per frame, with goals of any
     task. Only for a reader that refuses."""
     refuse_from: Share = 0.7

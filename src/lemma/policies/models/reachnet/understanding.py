@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import torch
@@ -68,6 +69,7 @@ def draw_order(rng: np.random.Generator) -> tuple[str, GoalPairs]:
     return paraphrase(task, goal, rng), goal
 
 
+@cache
 def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
     """Return the kinds of the (top, bottom) pairs of a task's goal."""
     found = templates(task, "high_level")[0].entity_kinds
@@ -77,13 +79,13 @@ def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
 
 def draw_goal(kinds: Sequence[tuple[str, str]], rng: np.random.Generator) -> GoalPairs:
     """Return a goal with pairs of some kinds, in which no entity occurs twice."""
-    left = {
-        kind: list(rng.permutation(list(BENCHMARK_COLORS))) for kind in ("cube", "pad")
-    }
-    return tuple(
-        (f"{left[top].pop()}_{top}", f"{left[bottom].pop()}_{bottom}")
-        for top, bottom in kinds
-    )
+    count = len(BENCHMARK_COLORS)
+    left = {kind: rng.permutation(count).tolist() for kind in ("cube", "pad")}
+
+    def one(kind: str) -> str:
+        return f"{BENCHMARK_COLORS[left[kind].pop()]}_{kind}"
+
+    return tuple((one(top), one(bottom)) for top, bottom in kinds)
 
 
 def understood(
