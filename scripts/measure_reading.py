@@ -31,7 +31,7 @@ from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.models.reachnet.understanding import (
     draw_goal,
     goal_numbers,
-    kinds_of,
+    pair_kinds,
 )
 from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.paraphrase import paraphrase
@@ -78,7 +78,7 @@ def batches(
                 pool.append(bank.draw(rng))
                 continue
             task = SUITE[int(rng.integers(len(SUITE)))]
-            goal = draw_goal(kinds_of(task), rng)
+            goal = draw_goal(pair_kinds(task), rng)
             if rng.random() < options.paraphrases:
                 text = paraphrase(task, goal, rng, rules=rules)
             else:

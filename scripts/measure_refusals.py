@@ -33,14 +33,14 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
 )
 from lemma.policies.models.reachnet.model import ReachNet
-from lemma.policies.models.reachnet.understanding import goal_numbers
+from lemma.policies.models.reachnet.understanding import draw_goal, goal_numbers
 from lemma.policies.text.refusals import RefusalBank, goal_for, refusal_bank
 from lemma.policies.weights import load_model
 from lemma.tasks.language.bank import templates
 from lemma.tasks.language.blind import blind_templates
 from lemma.tasks.language.template import GoalPairs
 from lemma.tasks.suite import SUITE
-from measure_reading import FAMILIES, draw_goal, draw_scene, voices
+from measure_reading import FAMILIES, draw_scene, voices
 
 BANK = Path(__file__).parents[1] / "tests" / "policies" / "sentences" / "refusals.toml"
 ORDERS = ("human", "unseen", "blind", "voices", "contrast", "own", "plain")

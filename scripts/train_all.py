@@ -4,9 +4,9 @@
     python scripts/train_all.py --slots 3 --episodes 20,60 --until-s 1200 --stop-s 1700
 
 It runs the commands of ``lemma reproduce all --print`` in less time: several trainings
-share a GPU, because none uses it fully, and rows are evaluated on the CPUs as soon as
-their weights exist. Finished parts are kept, so the same command resumes. It needs the
-rendered data, see ``--print``.
+share a GPU, because none uses it fully, and rows are evaluated as soon as their weights
+exist: on the CPUs, or with ``--device cuda`` also on the first GPU. Finished parts are
+kept, so the same command resumes. It needs the rendered data, see ``--print``.
 """
 
 import argparse
@@ -65,11 +65,12 @@ class Row:
     runs: str
     episodes: int
 
-    def command(self, out: str, workers: int) -> str:
+    def command(self, out: str, workers: int, device: str = "cpu") -> str:
         """Return the command line."""
         weights = f" --weights {self.runs}" if self.jobs else ""
+        place = f" --device {device}" if device != "cpu" else ""
         return (
-            f"lemma reproduce {self.experiment.name}{weights} --out {out} "
+            f"lemma reproduce {self.experiment.name}{weights}{place} --out {out} "
             f"--episodes {self.episodes} --workers {workers}"
         )
 
@@ -167,8 +168,9 @@ def work(
             row = next(ready, None)
             if row is not None:
                 rows.remove(row)
-                command = row.command(args.out, args.workers)
-                machine.playing = machine.start(command, "rows", None)
+                command = row.command(args.out, args.workers, args.device)
+                on = None if args.device == "cpu" else 0
+                machine.playing = machine.start(command, "rows", on)
                 continue
             if not machine.training and (not waiting or gpu is None):
                 break
@@ -189,6 +191,7 @@ def main() -> None:
     parser.add_argument("--logs", type=Path, default=Path("runs/logs"))
     parser.add_argument("--episodes", default="60", help="of each task, by round")
     parser.add_argument("--slots", type=int, default=2, help="trainings of a GPU")
+    parser.add_argument("--device", default="cpu", help="cuda: rows use a GPU, too")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
         "--train", default="--shared-images --compile", help="more for lemma train"
@@ -207,7 +210,7 @@ def main() -> None:
         commands = [
             *DATA_COMMANDS,
             *(job.command(args.train) for job in jobs),
-            *(row.command(args.out, args.workers) for row in rows),
+            *(row.command(args.out, args.workers, args.device) for row in rows),
         ]
         print("\n".join(commands))
         return

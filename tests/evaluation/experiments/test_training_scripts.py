@@ -61,6 +61,7 @@ def test_printed_commands_can_be_given() -> None:
     for command in (
         *(job.command("--compile") for job in jobs[:2]),
         rows[0].command("o", 1),
+        rows[0].command("o", 1, "cuda"),
     ):
         check_options(command)
     for observation in control_baselines.OBSERVATIONS:
@@ -213,8 +214,12 @@ class Rehearsal(Machine):
     ) -> "subprocess.Popen[bytes]":
         self.begun = [*getattr(self, "begun", []), command]
         going = [each for each in self.training if each[2].poll() is None]
-        assert len(going) < SLOTS * GPUS or gpu is None
         words = command.split()
+        if words[1] == "reproduce":
+            assert ("--device cuda" in command) is (gpu == 0)
+        else:
+            assert gpu is not None
+            assert len(going) < SLOTS * GPUS
         if words[1] == "train":
             out = Path(words[words.index("--out") + 1])
             out.mkdir(parents=True)
@@ -226,17 +231,27 @@ class Rehearsal(Machine):
 def options() -> argparse.Namespace:
     forever = float("inf")
     return argparse.Namespace(
-        until_s=forever, stop_s=forever, train="", out="results", workers=1
+        until_s=forever,
+        stop_s=forever,
+        train="",
+        out="results",
+        workers=1,
+        device="cpu",
     )
 
 
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
 def test_rows_are_played_when_their_weights_are_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: argparse.Namespace
+    device: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: argparse.Namespace,
 ) -> None:
+    options.device = device
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(train_all, "LOOK_S", 0.01)
     jobs, rows = train_all.plan(selected("paper"), SEEDS[:2], ROUNDS)
-    wanted = {row.command("results", 1): row for row in rows}
+    wanted = {row.command("results", 1, device): row for row in rows}
     machine = Rehearsal(tmp_path / "logs", SLOTS, GPUS)
     assert train_all.work(machine, jobs, list(rows), options) == []
     begun = machine.begun

@@ -9,9 +9,12 @@ one color only are recognised by their nouns.
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from lemma.core.arguments import Count, Depth, Share, Width
@@ -73,6 +76,10 @@ def groups_of(entities: EntitySet) -> tuple[list[int], dict[str, int]]:
     return groups, by_word
 
 
+Numbers = tuple[int, int, int]
+"""Number of a word, row of its vector, and group of entities that it may name."""
+
+
 class SentenceReader:
     """Converts texts to numbers and corrects typing errors."""
 
@@ -88,7 +95,8 @@ class SentenceReader:
         self.longest = longest
         self.vocabulary = Vocabulary(word_vectors().words)
         self.name = len(self.vocabulary) + _KINDS_OF_MARKS
-        self._known: dict[str, list[tuple[int, int, int]]] = {}
+        self._known: dict[str, NDArray[np.int32]] = {}
+        self._numbers = lru_cache(maxsize=_REMEMBERED)(self._numbers_of)
 
     def __len__(self) -> int:
         """Return the size of the vocabulary."""
@@ -98,39 +106,47 @@ class SentenceReader:
         """Return texts as numbers; with names, a text without words is all padding."""
         if isinstance(texts, Sentences):
             return texts
-        numbers = torch.tensor([self._read(text) for text in texts])
+        rows = np.stack([self._read(text) for text in texts]).astype(np.int64)
+        numbers = torch.from_numpy(rows)
         if device.type == "cpu":
             # On a GPU a fixed shape is faster than short sentences.
             longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
             numbers = numbers[:, :longest]
         return Sentences(*numbers.to(device).unbind(2))
 
-    def _read(self, text: str) -> list[tuple[int, int, int]]:
+    def _read(self, text: str) -> NDArray[np.int32]:
+        """Return number, row of its vector and group of each word, (longest, 3)."""
         found = self._known.get(text)
         if found is None:
-            found = list(self._words(text))[: self.longest]
-            if not found and self.groups is None:
-                found = [(UNKNOWN, 0, NO_NAME)]
-            found += [(PADDING, 0, NO_NAME)] * (self.longest - len(found))
+            said = list(self._words(text))[: self.longest]
+            if not said and self.groups is None:
+                said = [(UNKNOWN, 0, NO_NAME)]
+            said += [(PADDING, 0, NO_NAME)] * (self.longest - len(said))
+            found = np.array(said, np.int32)
             if len(self._known) < _REMEMBERED:
                 self._known[text] = found
         return found
 
-    def _words(self, text: str) -> Iterator[tuple[int, int, int]]:
-        """Yield number, row of its vector and group of each word of a text."""
+    def _words(self, text: str) -> Iterator[Numbers]:
         if self.groups is None:
             yield from map(self._word, self.vocabulary.read(text))
             return
         for piece in _PIECE.findall(resolved(text).lower()):
-            if not piece[0].isalpha():
-                back = piece.startswith("<")
-                mark = _MARKS.get(piece, _BACK if back else _ARROW)
-                yield len(self.vocabulary) + mark, 0, NO_NAME
-                continue
-            words = [piece] if piece in self.groups else self._parts(piece)
-            for word in words:
-                group = self.groups.get(word)
-                yield self._word(word) if group is None else (self.name, 0, group)
+            yield from self._numbers(piece)
+
+    def _numbers_of(self, piece: str) -> tuple[Numbers, ...]:
+        """Return the words of a piece, or its mark."""
+        assert self.groups is not None
+        if not piece[0].isalpha():
+            back = piece.startswith("<")
+            mark = _MARKS.get(piece, _BACK if back else _ARROW)
+            return ((len(self.vocabulary) + mark, 0, NO_NAME),)
+        words = [piece] if piece in self.groups else self._parts(piece)
+        groups = ((word, self.groups.get(word)) for word in words)
+        return tuple(
+            self._word(word) if group is None else (self.name, 0, group)
+            for word, group in groups
+        )
 
     def _parts(self, piece: str) -> Sequence[str]:
         """Return the words of a piece; "leftmost", which has no vector, is two."""
@@ -138,7 +154,7 @@ class SentenceReader:
         known = any(self._word(word)[:2] != (UNKNOWN, 0) for word in found)
         return found if known or stem in ("", piece) else (stem, _MOST)
 
-    def _word(self, word: str) -> tuple[int, int, int]:
+    def _word(self, word: str) -> Numbers:
         return self.vocabulary.number(word), word_vectors().row(word), NO_NAME
 
 

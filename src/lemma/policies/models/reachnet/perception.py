@@ -47,9 +47,9 @@ _CELLS = math.log(RASTER.rows * RASTER.columns / STRIDE**2)
 _MARKS = 3.0
 _NEAR_HEIGHT_CELLS = 1
 _FAINT = 0.03
-"""Probability from which an entity counts as present if the instruction names it. Of
-17 parts of goals between this and a half, in the keyframes of the split val, 16 were
-within 2 cm of where they were seen."""
+"""Probability from which an entity counts as present if the instruction names it. In
+the keyframes of the split val three networks saw 39 parts of goals between this and a
+half, 27 of them within 25 mm of their true places."""
 
 
 @dataclass(frozen=True)

@@ -65,12 +65,12 @@ def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, 
 def draw_order(rng: np.random.Generator) -> tuple[str, GoalPairs]:
     """Return a paraphrased instruction of some task, and its goal."""
     task = one_of(SUITE, rng)
-    goal = draw_goal(kinds_of(task), rng)
+    goal = draw_goal(pair_kinds(task), rng)
     return paraphrase(task, goal, rng), goal
 
 
 @cache
-def kinds_of(task: str) -> tuple[tuple[str, str], ...]:
+def pair_kinds(task: str) -> tuple[tuple[str, str], ...]:
     """Return the kinds of the (top, bottom) pairs of a task's goal."""
     found = templates(task, "high_level")[0].entity_kinds
     assert found is not None
