@@ -28,12 +28,9 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
 )
 from lemma.policies.models.reachnet.model import ReachNet
-from lemma.policies.models.reachnet.understanding import (
-    draw_goal,
-    goal_numbers,
-    pair_kinds,
-)
+from lemma.policies.models.reachnet.understanding import goal_numbers
 from lemma.policies.text.grammar import Grammar, grammar
+from lemma.policies.text.orders import draw_goal, pair_kinds
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.refusals import refusal_bank
 from lemma.policies.weights import load_model

@@ -33,7 +33,8 @@ from lemma.policies.models.reachnet.goal_reader import (
     ReaderConfig,
 )
 from lemma.policies.models.reachnet.model import ReachNet
-from lemma.policies.models.reachnet.understanding import draw_goal, goal_numbers
+from lemma.policies.models.reachnet.understanding import goal_numbers
+from lemma.policies.text.orders import draw_goal
 from lemma.policies.text.refusals import RefusalBank, goal_for, refusal_bank
 from lemma.policies.weights import load_model
 from lemma.tasks.language.bank import templates

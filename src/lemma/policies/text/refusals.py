@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lemma.policies.text.orders import draw_goal
 from lemma.policies.text.paraphrase import CHANCES, noisy, one_of
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named
@@ -168,14 +169,9 @@ def unknown_things(text: str) -> str:
 
 def goal_for(line: str, rng: np.random.Generator) -> GoalPairs:
     """Draw a goal with the number of pairs of an order: cubes on pads or on cubes."""
-    cubes, pads = (rng.permutation(list(BENCHMARK_COLORS)).tolist() for _ in range(2))
     count = 2 if "{t2}" in line else 1
-    return tuple(
-        (f"{cubes[i]}_cube", f"{pads[i]}_pad")
-        if rng.random() < 0.5
-        else (f"{cubes[i]}_cube", f"{cubes[count + i]}_cube")
-        for i in range(count)
-    )
+    bottoms = ("pad" if rng.random() < 0.5 else "cube" for _ in range(count))
+    return draw_goal([("cube", bottom) for bottom in bottoms], rng)
 
 
 def _slots(rng: np.random.Generator, goal: GoalPairs) -> dict[str, str]:

@@ -103,7 +103,7 @@ class Vocabulary:
 
     The list is frozen, because weights count its words. It has the words of the
     training templates and most of those of the rules. Words that rules got later are
-    read by their vectors, as those of test sentences are.
+    unknown ones, which have a pretrained vector at most.
     """
 
     def __init__(self, english: Iterable[str] = ()) -> None:
