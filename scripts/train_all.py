@@ -191,7 +191,12 @@ def main() -> None:
     parser.add_argument("--logs", type=Path, default=Path("runs/logs"))
     parser.add_argument("--episodes", default="60", help="of each task, by round")
     parser.add_argument("--slots", type=int, default=2, help="trainings of a GPU")
-    parser.add_argument("--device", default="cpu", help="cuda: rows use a GPU, too")
+    parser.add_argument(
+        "--device",
+        choices=("cpu", "cuda"),
+        default="cpu",
+        help="cuda: rows use a GPU, too",
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
         "--train", default="--shared-images --compile", help="more for lemma train"
