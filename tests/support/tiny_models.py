@@ -8,7 +8,7 @@ from batches import RASTER
 
 from lemma.core.arguments import decode
 from lemma.policies.models.catalog import MODELS
-from lemma.policies.models.reachnet.scene_table import Noise
+from lemma.policies.models.reachnet.noise import Noise
 
 _STREAMS: dict[str, Any] = {
     "widths": (16, 16, 24, 32),

@@ -14,6 +14,7 @@ without references to it. A policy that needs the true state is a subclass of
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from lemma.core.registry import takes
@@ -26,6 +27,7 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 if TYPE_CHECKING:
     from lemma.env.episode import Episode
 
+_SUCCESS = "success"
 TIMEOUT_S = 30.0
 """Time limit for a decision of an external policy [s]."""
 
@@ -37,7 +39,7 @@ class PastStep:
     view: View
     """The view before the decision."""
     subtask: SubTask
-    outcome: str = "success"
+    outcome: str = _SUCCESS
     """A value of :class:`lemma.motion.outcome.Outcome`."""
     explanation: str = ""
     """Why it failed, in one sentence; empty after success."""
@@ -56,6 +58,17 @@ class PolicyInput:
     hands: tuple[str, ...] = ()
     """Hands of the robots, names in ``lemma.robots.hand.HANDS``; empty where all have
     the standard one."""
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views of all decisions since the episode began, oldest first."""
+        return (*(step.view for step in self.past), self.view)
+
+    @property
+    def failed(self) -> list[SubTask]:
+        """Sub-tasks that failed since the last success, newest first."""
+        recent = takewhile(lambda step: step.outcome != _SUCCESS, self.past[::-1])
+        return [step.subtask for step in recent]
 
     def words_for(self, subtask: SubTask) -> str:
         """Return a sub-task of this scene as a sub-instruction.

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,7 @@ from lemma.core.robot_names import robot_name
 from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import PolicyInput
+from lemma.policies.models.view_cache import ViewCache
 from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
@@ -110,6 +111,13 @@ class MapModel(Model):
     at_once: ClassVar[int] = 32
     """Largest number of frames in a batch at inference."""
 
+    def train(self, mode: bool = True) -> Self:
+        """Switch between training and evaluation mode, and clear caches of views."""
+        for value in vars(self).values():
+            if isinstance(value, ViewCache):
+                value.clear()
+        return super().train(mode)
+
     @property
     def device(self) -> torch.device:
         """Device of the weights."""
@@ -119,7 +127,7 @@ class MapModel(Model):
     def deciding(self) -> Iterator[None]:
         """Evaluation mode without gradients within the context."""
         was = self.training
-        # Only after training mode: a switch may clear a model's cache.
+        # Only after training mode: a switch clears caches.
         if was:
             self.eval()
         try:

@@ -8,8 +8,7 @@ in object-centric planners.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Literal
-from weakref import WeakKeyDictionary
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -37,6 +36,7 @@ from lemma.policies.layers import (
     sinusoids,
 )
 from lemma.policies.models.base import MODELS, MapModel, subtask_of
+from lemma.policies.models.view_cache import ViewCache
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.tasks.subtask import SubTask
 
@@ -221,24 +221,6 @@ def layout_of_inputs(
     return layout, list(views), torch.tensor(shown, device=device)
 
 
-class ViewCache(WeakKeyDictionary[View, Tensor]):
-    """A cache of a network's features of views, with weak references to the views.
-
-    In a closed loop each view is an input of every later decision. Copies start empty.
-    """
-
-    state: object = None
-    """State of the network for which the features are valid."""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "ViewCache":
-        """Return an empty cache."""
-        return ViewCache()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as an empty cache."""
-        return ViewCache, ()
-
-
 class EpisodicTransformer(MapModel):
     """A planner whose input is all frames and decisions of the episode."""
 
@@ -282,13 +264,7 @@ class EpisodicTransformer(MapModel):
         )
         self.norm_out = nn.LayerNorm(width)
         self.heads = nn.ModuleList(nn.Linear(width, n) for n in sizes)
-        self._seen = ViewCache()
-
-    def train(self, mode: bool = True) -> "EpisodicTransformer":
-        """Switch between training and evaluation mode, and clear the cache."""
-        self._seen.clear()
-        super().train(mode)
-        return self
+        self._seen: ViewCache[Tensor] = ViewCache()
 
     def forward(self, batch: Batch) -> list[Tensor]:
         """Return the scores of every choice, for each part of a decision, (B, n).
@@ -344,20 +320,16 @@ class EpisodicTransformer(MapModel):
 
     def _cells_of(self, views: list[View]) -> Tensor:
         """Return the cells of views; compute only those that are not cached."""
-        weights = list(self.frames.parameters())
-        state = weights[0].device, weights[0].dtype, sum(w._version for w in weights)
-        if state != self._seen.state:
-            self._seen.clear()
-            self._seen.state = state
-        new = [view for view in views if view not in self._seen]
+        seen = self._seen.valid(self.frames)
+        new = [view for view in views if view not in seen]
         if new:
             maps = [
                 torch.from_numpy(np.stack([getattr(view, name) for view in new]))
                 for name in ("rgb", "height_m", "coverage")
             ]
             cells = self.frames(*(one.to(self.device) for one in maps))
-            self._seen.update(zip(new, cells, strict=True))
-        return torch.stack([self._seen[view] for view in views])
+            seen.update(zip(new, cells, strict=True))
+        return torch.stack([seen[view] for view in views])
 
     def _decide(self, cells: Tensor, layout: TokenLayout) -> list[Tensor]:
         if self.training and self.config.first_view_only:

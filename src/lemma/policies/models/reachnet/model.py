@@ -10,6 +10,7 @@ with noise.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, ClassVar, Literal
 
 import torch
@@ -24,10 +25,7 @@ from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, Insight, PolicyInput, Understanding
 from lemma.policies.layers import constant
 from lemma.policies.models.base import MODELS, MapConfig, MapModel, subtask_of
-from lemma.policies.models.reachnet.goal_reader import (
-    GoalReader,
-    ReaderConfig,
-)
+from lemma.policies.models.reachnet.goal_reader import GoalReader, ReaderConfig
 from lemma.policies.models.reachnet.grounder import (
     ReachNetGrounder,
     demonstrated_reach,
@@ -35,10 +33,9 @@ from lemma.policies.models.reachnet.grounder import (
     score_decisions,
     score_perception,
 )
-from lemma.policies.models.reachnet.perception import (
-    Perception,
-    PerceptionConfig,
-)
+from lemma.policies.models.reachnet.memory import Memory, Sighting
+from lemma.policies.models.reachnet.noise import Noise, disturbed
+from lemma.policies.models.reachnet.perception import Perception, PerceptionConfig
 from lemma.policies.models.reachnet.planner import (
     PlannerConfig,
     ReachNetPlanner,
@@ -47,9 +44,7 @@ from lemma.policies.models.reachnet.planner import (
     numbers_of,
 )
 from lemma.policies.models.reachnet.scene_table import (
-    Noise,
     SceneTable,
-    disturbed,
     needed_entities,
     numbered,
     true_radii,
@@ -70,7 +65,6 @@ from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 _REACH_POINTS = 128
 _NEVER = 1e4
 _LOUDEST = 25.0
-_SUCCESS = "success"
 _OPTIONS = 6
 
 
@@ -139,6 +133,7 @@ class ReachNet(MapModel):
         self.reader = GoalReader(config.reader, named)
         self.planner = ReachNetPlanner(config.planner, config.robots, known)
         self.grounding = ReachNetGrounder(known)
+        self._memory = Memory()
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the goals and the words of the instructions as numbers."""
@@ -237,7 +232,7 @@ class ReachNet(MapModel):
         labels = batch.labels
         assert labels is not None
         with self.deciding():
-            table, decision, _ = self._decide(batch)
+            table, decision, _ = self._decide(batch, self._sighting(batch))
             with torch.autocast(self.device.type, enabled=False):
                 poses = self.grounding(table, decision)
                 demonstrated = self.grounding(table, labels.decision)
@@ -262,8 +257,8 @@ class ReachNet(MapModel):
         with self.deciding():
             return [
                 subtask_of(row, batch.entities)
-                for batch, failed in self._with_failures(inputs)
-                for row in self._decide(batch, failed)[1].tolist()
+                for batch, seen, failed in self._given(inputs)
+                for row in self._decide(batch, seen, failed)[1].tolist()
             ]
 
     def ground(
@@ -274,12 +269,10 @@ class ReachNet(MapModel):
         robots, entities = self.config.robots, self.entities
         numbers = [numbers_of(subtask, robots, entities) for subtask in subtasks]
         with self.deciding():
-            for batch in self.batches(inputs):
+            for batch, seen, _ in self._given(inputs):
                 rows = numbers[len(found) : len(found) + len(batch)]
                 decision = torch.tensor(rows, device=self.device)
-                marks, coarse = self.eye(batch)
-                named = self.eye.faint(marks) & numbered(decision[:, 2:], len(entities))
-                table = self.eye.table(marks, coarse, batch, named)
+                table = seen.table_with(decision[:, 2:])
                 found += self._grounded(table, decision)
         return found
 
@@ -287,8 +280,8 @@ class ReachNet(MapModel):
         """Return the next decision of each episode."""
         found: list[Decision] = []
         with self.deciding():
-            for batch, failed in self._with_failures(inputs):
-                table, decision, reasons = self._decide(batch, failed)
+            for batch, seen, failed in self._given(inputs):
+                table, decision, reasons = self._decide(batch, seen, failed)
                 grounded = self._grounded(table, decision)
                 rows = zip(decision.tolist(), grounded, reasons.tolist(), strict=True)
                 for row, poses, reason in rows:
@@ -308,9 +301,8 @@ class ReachNet(MapModel):
         """Return the interpretation of each instruction in its scene."""
         found: list[Understanding] = []
         with self.deciding():
-            for batch in self.batches(inputs):
-                seen = self.eye.faint(self.eye(batch)[0])
-                read = self.reader.weigh(batch.instructions, seen)
+            for batch, seen, _ in self._given(inputs):
+                read = self.reader.weigh(batch.instructions, seen.noticed)
                 names, refuses = batch.entities.places, self.config.reader.refuses
                 found += understood(read, names, refuses=refuses)
         return found
@@ -319,8 +311,8 @@ class ReachNet(MapModel):
         """Return perception, goal and most likely sub-tasks for each decision."""
         found: list[Insight] = []
         with self.deciding():
-            for batch, failed in self._with_failures(inputs):
-                table, goals, scores, _ = self._weigh(batch, failed)
+            for batch, seen, failed in self._given(inputs):
+                table, goals, scores, _ = self._weigh(batch, seen, failed)
                 shares, numbers = scores.float().softmax(-1).topk(_OPTIONS)
                 options = decision_of(numbers, self.config.robots, batch.entities)
                 for row, rows in enumerate(goals.tolist()):
@@ -333,29 +325,36 @@ class ReachNet(MapModel):
                     found.append(Insight(*table.seen(row), goal, tuple(likely)))
         return found
 
-    def _with_failures(
+    def _given(
         self, inputs: Sequence[PolicyInput]
-    ) -> Iterator[tuple[Batch, list[list[SubTask]]]]:
-        """Yield batches, with the sub-tasks that failed since the last success."""
-        failed = []
-        for policy_input in inputs:
-            outcomes = [step.outcome for step in reversed(policy_input.past)]
-            since = [*outcomes, _SUCCESS].index(_SUCCESS)
-            failed.append([step.subtask for step in policy_input.past[::-1][:since]])
+    ) -> Iterator[tuple[Batch, Sighting, list[list[SubTask]]]]:
+        """Yield batches, what is seen, and sub-tasks that failed since a success."""
+        memory = self._memory.valid(self.eye)
+        memory.look(inputs, lambda new: map(self._sighting, self.batches(new)))
+        left = iter(inputs)
         for batch in self.batches(inputs):
-            yield batch, failed[: len(batch)]
-            failed = failed[len(batch) :]
+            part = [*islice(left, len(batch))]
+            seen = Sighting.joined([memory.recall(one) for one in part])
+            yield batch, seen, [one.failed for one in part]
+
+    def _sighting(self, batch: Batch) -> Sighting:
+        marks, coarse = self.eye(batch)
+        with torch.autocast(self.device.type, enabled=False):
+            return self.eye.sighting(marks, coarse, batch)
 
     def _decide(
-        self, batch: Batch, failed: Sequence[Sequence[SubTask]] = ()
+        self,
+        batch: Batch,
+        seen: Sighting,
+        failed: Sequence[Sequence[SubTask]] = (),
     ) -> tuple[SceneTable, Tensor, Tensor]:
         """Return scenes, the most likely sub-tasks, (B, 4), and reasons, (B,)."""
-        table, _, scores, reasons = self._weigh(batch, failed)
+        table, _, scores, reasons = self._weigh(batch, seen, failed)
         robots = self.config.robots
         return table, decision_of(scores.argmax(-1), robots, batch.entities), reasons
 
     def _weigh(
-        self, batch: Batch, failed: Sequence[Sequence[SubTask]]
+        self, batch: Batch, seen: Sighting, failed: Sequence[Sequence[SubTask]]
     ) -> tuple[SceneTable, Tensor, Tensor, Tensor]:
         """Return scenes, goals, scores of all sub-tasks, and refusals.
 
@@ -364,12 +363,9 @@ class ReachNet(MapModel):
             the reason for refusal, (B,), -1 for an order. After a refusal only ``stop``
             is possible.
         """
-        marks, coarse = self.eye(batch)
-        faint = self.eye.faint(marks)
-        goal, reasons = self.reader.read(batch.instructions, faint)
+        goal, reasons = self.reader.read(batch.instructions, seen.noticed)
         with torch.autocast(self.device.type, enabled=False):
-            named = faint & numbered(goal.flatten(1), len(batch.entities))
-            table = self.eye.table(marks, coarse, batch, named)
+            table = seen.table_with(goal.flatten(1))
             scores = self.planner(table, goal, batch.past, self.grounding.drags)
         robots = self.config.robots
         for row, subtasks in enumerate(failed):

@@ -23,12 +23,8 @@ from lemma.policies.layers import (
     upsample_to,
 )
 from lemma.policies.models.grid import Cells
-from lemma.policies.models.reachnet.scene_table import (
-    COLUMNS,
-    FAR_M,
-    HEADING_M,
-    SceneTable,
-)
+from lemma.policies.models.reachnet.memory import Sighting
+from lemma.policies.models.reachnet.scene_table import COLUMNS, HEADING_M, SceneTable
 from lemma.scene.raster import RASTER
 
 STRIDE = 4
@@ -46,10 +42,7 @@ _NEAR = 1
 _CELLS = math.log(RASTER.rows * RASTER.columns / STRIDE**2)
 _MARKS = 3.0
 _NEAR_HEIGHT_CELLS = 1
-_FAINT = 0.03
-"""Probability from which an entity counts as present if the instruction names it. Below
-it, in keyframes of the split val, most places are wrong: they are of things that lie
-under others."""
+_HALF = math.log(0.5)
 
 
 @dataclass(frozen=True)
@@ -215,10 +208,37 @@ class Perception(nn.Module):
         logits: Tensor = self.ground(F.adaptive_avg_pool1d(profile, COLUMNS))
         return logits.squeeze(1).float()
 
-    def faint(self, marks: Marks) -> Tensor:
-        """Return which entities may be there, though hardly visible, (B, E) bool."""
-        absent = marks.points[:, : len(self.entities), -1]
-        return absent < math.log(1.0 - _FAINT)
+    def sighting(self, marks: Marks, coarse: Tensor, batch: Batch) -> Sighting:
+        """Return the likeliest place of every entity, and how likely it is there.
+
+        Args:
+            marks: Marks of the maps.
+            coarse: Coarse features of the maps.
+            batch: The maps.
+        """
+        points = _read_points(marks, batch)
+        count = len(self.entities)
+        xy, bases = points[:, :count], points[:, count + 1 :]
+        cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
+        fold = constant(_folds(self.entities), xy.device)
+        along = points[:, count] - xy[:, self.entities.stick]
+        yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
+        yaw = torch.where(fold > 0, yaw, 0.0)
+        yaw = torch.cat([yaw[:, :-1], torch.atan2(along[:, 1:], along[:, :1])], 1)
+        absent = marks.points[:, :count, -1]
+        table = SceneTable(
+            present=absent < _HALF,
+            xy=xy,
+            yaw=yaw,
+            top=_top(batch, xy),
+            bases=bases,
+            radii=self.reach(coarse, batch, bases),
+            ground=self.table_seen(batch).sigmoid(),
+            half_x_m=batch.raster.size_m[0] / 2,
+            entities=self.entities,
+        )
+        shares = 1.0 - absent.exp()
+        return Sighting(table, shares, shares)
 
     def table(
         self,
@@ -227,7 +247,7 @@ class Perception(nn.Module):
         batch: Batch,
         named: Tensor | None = None,
     ) -> SceneTable:
-        """Return the scene tables of marks and coarse features.
+        """Return the scene tables of what is seen; see :meth:`sighting`.
 
         Args:
             marks: Marks of the maps.
@@ -235,29 +255,8 @@ class Perception(nn.Module):
             batch: The maps.
             named: Entities that are there even if they are hard to see, (B, E) bool.
         """
-        points, present = _read_points(marks, batch)
-        count, cargo = len(self.entities), self.entities.cargo
-        present, bases = present[:, :count], points[:, count + 1 :]
-        present = present if named is None else present | named
-        xy = points[:, :count]
-        cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
-        fold = constant(_folds(self.entities), xy.device)
-        along = points[:, count] - xy[:, self.entities.stick]
-        yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
-        yaw = torch.where(fold > 0, yaw, 0.0)
-        yaw = torch.cat([yaw[:, :-1], torch.atan2(along[:, 1:], along[:, :1])], 1)
-        is_cargo = torch.arange(count, device=yaw.device) < cargo
-        return SceneTable(
-            present=present,
-            xy=torch.where(present[..., None], xy, FAR_M),
-            yaw=torch.where(present, yaw, 0.0),
-            top=torch.where(present & is_cargo, _top(batch, xy), 0.0),
-            bases=bases,
-            radii=self.reach(coarse, batch, bases),
-            ground=self.table_seen(batch).sigmoid(),
-            half_x_m=batch.raster.size_m[0] / 2,
-            entities=self.entities,
-        )
+        seen = self.sighting(marks, coarse, batch).table
+        return seen.showing(seen.present if named is None else seen.present | named)
 
     def _turns(self, marks: Marks, cell: Tensor) -> Tensor:
         """Return cosine and sine of each entity's yaw up to symmetry, (B, E, 2).
@@ -354,8 +353,8 @@ def _cells(batch: Batch) -> Cells:
     return Cells.of(batch.raster, STRIDE)
 
 
-def _read_points(marks: Marks, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Return the most likely positions, (B, N + R, 2) [m], and whether present."""
+def _read_points(marks: Marks, batch: Batch) -> Tensor:
+    """Return the most likely positions, (B, N + R, 2) [m]."""
     columns = marks.shape[1]
     cell = marks.points[..., :-1].argmax(2)
     index = cell[:, :, None, None].expand(-1, -1, 2, 1)
@@ -364,7 +363,7 @@ def _read_points(marks: Marks, batch: Batch) -> tuple[Tensor, Tensor]:
     size, raster = batch.raster.cell_m * STRIDE, batch.raster
     x = (place[..., 0] - raster.columns / STRIDE / 2) * size
     y = (raster.rows / STRIDE / 2 - place[..., 1]) * size
-    return torch.stack([x, y], -1), marks.points[..., -1] < math.log(0.5)
+    return torch.stack([x, y], -1)
 
 
 def _top(batch: Batch, xy: Tensor) -> Tensor:

@@ -12,7 +12,6 @@ from typing import Any, Self
 import torch
 from torch import Tensor
 
-from lemma.core.arguments import Deviation, Share
 from lemma.core.poses import Pose2
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
@@ -158,6 +157,17 @@ class SceneTable:
         robots = (SeenRobot((x, y), (r[0], r[1])) for (x, y), r in bases)
         return tuple(objects), tuple(robots)
 
+    def showing(self, present: Tensor) -> Self:
+        """Return the scenes with some entities only, (B, E) bool."""
+        numbers = torch.arange(present.shape[1], device=present.device)
+        return replace(
+            self,
+            present=present,
+            xy=torch.where(present[..., None], self.xy, FAR_M),
+            yaw=torch.where(present, self.yaw, 0.0),
+            top=torch.where(present & (numbers < self.cargo), self.top, 0.0),
+        )
+
     def rows(self, index: Tensor) -> Self:
         """Return some of the scenes."""
         return replace(self, **{name: getattr(self, name)[index] for name in _TENSORS})
@@ -268,48 +278,6 @@ def covered(xyz: Tensor, top_m: Tensor, traits: Traits, cargo: int) -> Tensor:
     over = bottom_m[:, None] > top_m[:, :, None] - _ABOVE_M
     covered: Tensor = ((apart < traits.support_m[:, None]) & over).any(-1)
     return covered
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Noise of scene tables from labels, which models the errors of perception."""
-
-    position_m: Deviation = 0.003
-    """Standard deviation of positions [m]."""
-    yaw_rad: Deviation = 0.02
-    """Standard deviation of yaws [rad]."""
-    height_m: Deviation = 0.003
-    """Standard deviation of heights [m]."""
-    base_m: Deviation = 0.004
-    """Standard deviation of bases and of radii of reach [m]."""
-    unseen: Share = 0.01
-    """Share of entities to remove, among those that the sub-task does not need."""
-
-
-def disturbed(table: SceneTable, noise: Noise, needed: Tensor) -> SceneTable:
-    """Return scene tables with simulated errors of perception.
-
-    Args:
-        table: True scenes.
-        noise: Size of the errors.
-        needed: Entities that are never removed, (B, E) bool.
-    """
-
-    def jitter(values: Tensor, deviation: float) -> Tensor:
-        return values + deviation * torch.randn_like(values)
-
-    missed = (torch.rand_like(table.yaw) < noise.unseen) & ~needed
-    present = table.present & ~missed
-    xy = jitter(table.xy, noise.position_m)
-    return replace(
-        table,
-        present=present,
-        xy=torch.where(present.unsqueeze(-1), xy, FAR_M),
-        yaw=torch.where(present, jitter(table.yaw, noise.yaw_rad), 0.0),
-        top=torch.where(present, jitter(table.top, noise.height_m), 0.0),
-        bases=jitter(table.bases, noise.base_m),
-        radii=jitter(table.radii, noise.base_m),
-    )
 
 
 def turned(table: SceneTable) -> SceneTable:

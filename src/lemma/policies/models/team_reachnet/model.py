@@ -9,7 +9,6 @@ until all arms are at rest, looks again, and orders one move at a time.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -22,11 +21,9 @@ from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
+from lemma.policies.models.reachnet.noise import Noise
 from lemma.policies.models.reachnet.perception import Marks, PerceptionConfig
-from lemma.policies.models.reachnet.scene_table import (
-    Noise,
-    true_radii,
-)
+from lemma.policies.models.reachnet.scene_table import true_radii
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
 from lemma.policies.models.team_reachnet.orders import next_orders
 from lemma.policies.models.team_reachnet.perception import TeamPerception
@@ -63,6 +60,7 @@ from lemma.policies.models.team_reachnet.teams import (
     numbers_of,
     weak_hands,
 )
+from lemma.policies.models.view_cache import ViewCache
 from lemma.policies.text.encoder import Sentences
 from lemma.policies.together.interfaces import Orders, TeamInput
 from lemma.tasks.subtask import STOP, Primitive, SubTask
@@ -120,8 +118,7 @@ class TeamReachNet(MapModel):
         self.eye = TeamPerception(config.eye, named)
         self.reader = TeamReader(config.reader, named)
         self.planner = TeamPlanner(config.planner)
-        self._views: WeakKeyDictionary[View, tuple[Marks, Tensor, Batch]]
-        self._views = WeakKeyDictionary()
+        self._views: ViewCache[tuple[Marks, Tensor, Batch]] = ViewCache()
 
     @property
     def entities(self) -> EntitySet:
@@ -351,11 +348,12 @@ class TeamReachNet(MapModel):
         self, given: PolicyInput, team: tuple[str, ...]
     ) -> tuple[Marks, Tensor, Batch]:
         """Return marks and coarse features of a view, and the view as a batch."""
-        found = self._views.get(given.view)
+        views = self._views.valid(self.eye)
+        found = views.get(given.view)
         if found is None:
             (batch,) = self.batches([given.with_past(())])
             batch, _ = colored(batch, numbers_by_color([team], self.device))
-            found = self._views[given.view] = (*self.eye(batch), batch)
+            found = views[given.view] = (*self.eye(batch), batch)
         return found
 
     def _costs(self, given: PolicyInput, team: tuple[str, ...]) -> Tensor:
@@ -363,15 +361,11 @@ class TeamReachNet(MapModel):
         entities = self.entities
         cargo, targets = entities.cargo, entities.stick
         costs = torch.zeros(ROBOTS * cargo * (targets + len(REGIONS)) + 1)
-        failures = 0
-        for step in reversed(given.past):
-            if step.outcome == _SUCCESS:
-                break
-            failures += 1
-            if step.subtask.primitive == Primitive.MOVE:
-                move = numbers_of(step.subtask, team, entities)
+        for subtask in given.failed:
+            if subtask.primitive == Primitive.MOVE:
+                move = numbers_of(subtask, team, entities)
                 costs[number_of(move, cargo, targets)] += self.config.failure_cost
-        if failures >= _MOST_FAILURES:
+        if len(given.failed) >= _MOST_FAILURES:
             costs[:-1] += _LOUDEST * _LOUDEST
         return costs.to(self.device)
 

@@ -10,12 +10,8 @@ from torch.nn import functional as F
 from lemma.policies.batch import Labels
 from lemma.policies.entities import EntitySet, Traits, traits_of
 from lemma.policies.layers import constant
-from lemma.policies.models.reachnet.scene_table import (
-    FAR_M,
-    Noise,
-    SceneTable,
-    covered,
-)
+from lemma.policies.models.reachnet.noise import Noise
+from lemma.policies.models.reachnet.scene_table import FAR_M, SceneTable, covered
 from lemma.policies.models.team_reachnet.teams import PAIRS
 
 _ON_M = 0.035
