@@ -7,14 +7,21 @@ It trains on templates and paraphrases of random goals. Then it reads the senten
 without the information about which objects are in the scene. ``--without step cleft``
 leaves out rules of the grammar, to measure the generalisation to other sentence forms.
 ``--unseen`` also reads the held-out templates; do not choose options with these.
+
+    python scripts/measure_reading.py --teach runs/seed-0/reachnet --steps 8000
+
+teaches the reader of a training of ReachNet further, in about 20 minutes on one core.
+Nothing else in its weights changes.
 """
 
 import argparse
+import sys
 import time
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from copy import deepcopy
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -33,7 +40,8 @@ from lemma.policies.text.grammar import Grammar, grammar
 from lemma.policies.text.orders import draw_goal, pair_kinds
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.refusals import refusal_bank
-from lemma.policies.weights import load_model
+from lemma.policies.weights import find_weights, load_model
+from lemma.policies.weights_file import read_metadata, write_weights
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.language.bank import instruct, templates
 from lemma.tasks.language.template import GoalPairs, Template
@@ -94,8 +102,9 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
     """Return a trained reader."""
     torch.manual_seed(options.seed)
     reader = GoalReader(ReaderConfig())
-    if options.start:
-        found = load_model(options.start)
+    start = str(options.teach or options.start or "")
+    if start:
+        found = load_model(start)
         assert isinstance(found, ReachNet)
         # Parts that are missing in older weights keep their initial values.
         reader.load_state_dict(found.reader.state_dict(), strict=False)
@@ -105,7 +114,7 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
         optimizer, options.rate, total_steps=steps, pct_start=0.1
     )
     average = deepcopy(reader).eval()
-    start, mean = time.perf_counter(), 0.0
+    begin, mean = time.perf_counter(), 0.0
     for step, (texts, *wanted) in enumerate(batches(rules, options), 1):
         loss = reader.loss(texts, *wanted)
         optimizer.zero_grad()
@@ -120,9 +129,20 @@ def train(rules: Grammar, options: argparse.Namespace) -> GoalReader:
                 old.lerp_(new, 1.0 - decay)
         mean += (loss.item() - mean) * max(0.02, 1 / step)
         if step % 200 == 0:
-            seconds = time.perf_counter() - start
+            seconds = time.perf_counter() - begin
             print(f"{step:6} loss {mean:.3f} ({seconds:.0f} s)", flush=True)
     return average
+
+
+def replace_reader(run: Path, reader: GoalReader) -> None:
+    """Replace the reader in the weights of a run, and add the command to them."""
+    network, path = load_model(str(run)), find_weights(str(run))
+    assert isinstance(network, ReachNet)
+    network.reader.load_state_dict(reader.state_dict())
+    metadata = read_metadata(path)
+    command = f"python scripts/{Path(__file__).name} {' '.join(sys.argv[1:])}"
+    metadata = replace(metadata, command=f"{metadata.command}; {command}", packed={})
+    write_weights(path, network.eval().state_dict(), metadata)
 
 
 def measure(
@@ -174,7 +194,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--paraphrases", type=float, default=0.7)
     parser.add_argument("--refusals", type=float, default=0.18)
-    parser.add_argument("--start", default="", help="weights of ReachNet to go on from")
+    parser.add_argument("--start", help="weights of ReachNet to go on from")
+    parser.add_argument("--teach", type=Path, help="the same, a run to write them to")
     parser.add_argument("--without", nargs="*", default=[], help="rules left out")
     parser.add_argument("--draws", type=int, default=8, help="goals per sentence")
     parser.add_argument("--misread", type=float, default=0.0, help="list those below")
@@ -197,6 +218,8 @@ def main() -> None:
         reader = train(rules, options)
         if options.weights:
             torch.save(reader.state_dict(), options.weights)
+        if options.teach:
+            replace_reader(options.teach, reader)
     report("voices", measure(reader, voices(), options.draws, scenes=False), 0.0)
     known = measure(reader, voices(), options.draws, scenes=True)
     report("voices, on a table", known, options.misread)

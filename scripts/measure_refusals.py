@@ -6,8 +6,8 @@ The orders are the human and unseen templates of the benchmark, the voices, and 
 of the evaluation bank. The sentences to refuse are from that bank
 (``tests/policies/sentences/refusals.toml``). Each has random colors, in a scene with up
 to three distractors. The first table has the shares of right, wrong and refused
-readings; the second one has the accuracy by certainty, and the expected calibration
-error.
+readings; the second one has the accuracy by certainty, the expected calibration
+error, and the mean negative log-likelihood.
 ``--fit`` prints the temperature that fits the held-out lines and the voices.
 ``--kept`` reads these instead of the evaluation bank and templates, to choose options.
 ``--as-before`` refuses by the rule for readers without refusals: certainty below 50 %,
@@ -148,6 +148,12 @@ def ece(found: Answers) -> float:
     return error
 
 
+def surprise(found: Answers) -> float:
+    """Return the mean negative log-likelihood of what is right, by the certainty."""
+    sure = found.certainty.double().clamp(1e-6, 1 - 1e-6)
+    return float(-torch.where(found.right, sure.log(), (1 - sure).log()).mean())
+
+
 def report(said: list[Said], found: Answers) -> None:
     """Print both tables."""
     rows: dict[str, list[int]] = defaultdict(list)
@@ -180,6 +186,7 @@ def report(said: list[Said], found: Answers) -> None:
         print(f"{'90 % or more':>12} {int(sure.sum()):6} ", end="")
         print(f"{found.right[sure].double().mean():7.1%}")
     print(f"expected calibration error {ece(found):.3f}")
+    print(f"mean negative log-likelihood {surprise(found):.3f}")
 
 
 def fitted(reader: GoalReader) -> float:
@@ -188,10 +195,8 @@ def fitted(reader: GoalReader) -> float:
     config, best = reader.config, (np.inf, 1.0)
     for value in np.arange(0.6, 4.05, 0.1).tolist():
         reader.config = replace(config, temperature=value)
-        found = answers(reader, said, as_before=False)
-        sure = found.certainty.double().clamp(1e-6, 1 - 1e-6)
-        loss = -torch.where(found.right, sure.log(), (1 - sure).log()).mean()
-        best = min(best, (float(loss), value))
+        loss = surprise(answers(reader, said, as_before=False))
+        best = min(best, (loss, value))
     reader.config = config
     return best[1]
 

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lemma.core.files import read_json
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,
     ALL,
@@ -27,10 +28,10 @@ from lemma.evaluation.experiments.catalog import (
     selected,
 )
 from lemma.evaluation.run.loading import learned_parts
+from lemma.policies.training.run import REPORT, WEIGHTS
+from lemma.policies.weights_file import read_metadata
 from side_by_side import start, visible_gpus
 
-REPORT = "report.json"
-"""File of a finished training."""
 LOOK_S = 1.0
 
 
@@ -44,16 +45,26 @@ class Job:
 
     @property
     def done(self) -> bool:
-        """Whether its weights exist."""
-        return (Path(self.runs) / self.name / REPORT).is_file()
+        """Whether it has ended, other than by an interruption."""
+        return not self.left("")
 
-    def command(self, more: str) -> str:
-        """Return the command line.
+    def commands(self, more: str) -> tuple[str, ...]:
+        """Return the command lines.
 
         Args:
-            more: Further arguments, which do not affect the result.
+            more: Further arguments of the first, which do not affect the result.
         """
-        return f"{TRAININGS[self.name].command(self.runs, self.seed)} {more}".strip()
+        first, *then = TRAININGS[self.name].commands(self.runs, self.seed)
+        return (f"{first} {more}".strip(), *then)
+
+    def left(self, more: str) -> tuple[str, ...]:
+        """Return the command lines that have not ended yet; see :meth:`commands`."""
+        run, commands = Path(self.runs) / self.name, self.commands(more)
+        report = run / REPORT
+        if not report.is_file() or read_json(report)["status"] == "interrupted":
+            return commands
+        told = read_metadata(run / WEIGHTS).command if commands[1:] else ""
+        return tuple(one for one in commands[1:] if one not in told)
 
 
 @dataclass(frozen=True)
@@ -125,11 +136,11 @@ class Machine:
         least = min(load)
         return load.index(least) if least < self.slots else None
 
-    def reap(self) -> list[Job]:
-        """Remove ended trainings, and return the failed ones."""
+    def reap(self) -> list[tuple[Job, bool]]:
+        """Remove ended trainings, and return them and whether each went well."""
         ended = [each for each in self.training if each[2].poll() is not None]
         self.training = [each for each in self.training if each not in ended]
-        return [job for job, _, process in ended if process.returncode != 0]
+        return [(job, process.returncode == 0) for job, _, process in ended]
 
     def stop(self) -> None:
         """End all processes; lines of finished episodes are kept."""
@@ -155,12 +166,16 @@ def work(
     waiting = [job for job in jobs if not job.done]
     failed: list[Job] = []
     while time.monotonic() - begin < args.stop_s:
-        failed += machine.reap()
+        for job, good in machine.reap():
+            if not good:
+                failed.append(job)
+            elif not job.done:
+                waiting.insert(0, job)
         gpu = machine.free_gpu()
         if waiting and gpu is not None and time.monotonic() - begin < args.until_s:
             job = waiting.pop(0)
             name = f"{job.name}-{job.seed}"
-            command = job.command(args.train)
+            command = job.left(args.train)[0]
             machine.training.append((job, gpu, machine.start(command, name, gpu)))
             continue
         if machine.playing is None or machine.playing.poll() is not None:
@@ -214,7 +229,7 @@ def main() -> None:
     if args.print:
         commands = [
             *DATA_COMMANDS,
-            *(job.command(args.train) for job in jobs),
+            *(command for job in jobs for command in job.commands(args.train)),
             *(row.command(args.out, args.workers, args.device) for row in rows),
         ]
         print("\n".join(commands))

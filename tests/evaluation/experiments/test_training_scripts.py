@@ -2,20 +2,24 @@
 
 import argparse
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import tyro
+from tiny_model import ABOUT
 
 import control_baselines
 import side_by_side
 import train_all
+from lemma.core.files import write_json
 from lemma.evaluation.experiments.catalog import (
     CONTROL_LEVEL,
     SEEDS,
     TRAININGS,
     selected,
 )
+from lemma.policies.weights_file import read_metadata, write_weights
 from test_repository import options_of
 from train_all import Machine
 
@@ -59,7 +63,7 @@ def test_ablations_are_trained_whichever_seeds_are_asked() -> None:
 def test_printed_commands_can_be_given() -> None:
     jobs, rows = train_all.plan(selected("all"), SEEDS[:1], ROUNDS[:1])
     for command in (
-        *(job.command("--compile") for job in jobs[:2]),
+        *(job.commands("--compile")[0] for job in jobs[:2]),
         rows[0].command("o", 1),
         rows[0].command("o", 1, "cuda"),
     ):
@@ -223,7 +227,13 @@ class Rehearsal(Machine):
         if words[1] == "train":
             out = Path(words[words.index("--out") + 1])
             out.mkdir(parents=True)
-            (out / train_all.REPORT).write_text("{}")
+            write_json(out / train_all.REPORT, {"status": "finished"})
+            write_weights(out / train_all.WEIGHTS, {}, replace(ABOUT, command=command))
+        if "--teach" in words:
+            path = Path(words[words.index("--teach") + 1]) / train_all.WEIGHTS
+            about = read_metadata(path)
+            told = replace(about, command=f"{about.command}; {command}")
+            write_weights(path, {}, told)
         return subprocess.Popen(["true"])
 
 
@@ -257,9 +267,22 @@ def test_rows_are_played_when_their_weights_are_there(
     begun = machine.begun
     assert {c for c in begun if " reproduce " in c} == set(wanted)
     for command, row in wanted.items():
-        trained = [begun.index(job.command("")) for job in row.jobs]
-        assert max(trained) < begun.index(command)
+        made = [begun.index(one) for job in row.jobs for one in job.commands("")]
+        assert max(made) < begun.index(command)
     # The same command goes on where it was stopped: nothing is trained again.
     again = Rehearsal(tmp_path / "logs", SLOTS, GPUS)
     train_all.work(again, jobs, list(rows), options)
     assert all(" reproduce " in command for command in again.begun)
+
+
+@pytest.mark.parametrize(
+    ("status", "done"),
+    [("finished", True), ("time is up", True), ("interrupted", False)],
+)
+def test_an_interrupted_training_goes_on(
+    status: str, done: bool, tmp_path: Path
+) -> None:
+    job = train_all.Job("cliport", 1, str(tmp_path))
+    assert not job.done
+    write_json(tmp_path / "cliport" / train_all.REPORT, {"status": status})
+    assert job.done is done

@@ -1,20 +1,25 @@
 """ReachNet as a whole: it trains, decides, and shows how right it is."""
 
 import math
+import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
 from batches import RASTER, drawn_batch, gradients, inputs_of, labels_of, total
 from tiny_models import tiny as tiny_model
 
+import measure_reading
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import STOP
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.models.base import MODELS
 from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
 from lemma.policies.models.reachnet.scene_table import true_table
+from lemma.policies.weights import find_weights, load_model
+from lemma.policies.weights_file import read_metadata, write_weights
 from lemma.scene.objects.entity import ENTITIES
 from lemma.tasks.subtask import Primitive, SubTask
 
@@ -237,3 +242,22 @@ def test_stop_frames_score_only_what_counts() -> None:
 def test_impossible_options_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(InvalidConfigError, match="or more"):
         ReachNetConfig(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_its_reader_is_taught_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, shipped = tmp_path / "weights.safetensors", find_weights("reachnet")
+    about = replace(read_metadata(shipped), packed={})
+    write_weights(path, load_model("reachnet").state_dict(), about)
+    before = load_model(str(path)).state_dict()
+    words = ["--teach", str(tmp_path), "--steps", "8", "--batch", "2", "--draws", "1"]
+    monkeypatch.setattr(sys, "argv", ["measure_reading.py", *words])
+    measure_reading.main()
+    after = load_model(str(path)).state_dict()
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed
+    assert all(name.startswith("reader.") for name in changed)
+    command = read_metadata(path).command
+    assert command.endswith(f"; python scripts/measure_reading.py {' '.join(words)}")

@@ -161,6 +161,14 @@ class Training:
     """Whether recovery states are mixed in."""
     samples: int | None = None
     """Number of samples; the model's default if None."""
+    then: str = ""
+    """A further command that changes the weights in the folder ``{run}``."""
+
+    def commands(self, runs: str, seed: int) -> tuple[str, ...]:
+        """Return all command lines, in their order; see :meth:`command`."""
+        run = f"{runs}/{self.name}"
+        then = (self.then.format(run=run, seed=seed),) if self.then else ()
+        return (self.command(runs, seed), *then)
 
     def command(self, runs: str, seed: int) -> str:
         """Return the command line, with the length of training as samples.

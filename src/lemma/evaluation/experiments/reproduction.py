@@ -120,7 +120,7 @@ class Reproduction:
             return replace(policy, name=policy.name.removesuffix(checkpoint) + path)
         names = list(policy.parts)
         for part in learned_parts(policy.name):
-            how = TRAININGS[part].command(runs, SEEDS[0])
+            how = " && ".join(TRAININGS[part].commands(runs, SEEDS[0]))
             names[names.index(part)] = self._weights(part, _FILE, how)
         return replace(policy, name="+".join(names))
 
@@ -167,7 +167,7 @@ def commands(experiments: list[Experiment]) -> list[str]:
         for training in _needed(here):
             if seed == SEEDS[0]:
                 lines += _as_it_was(training.name)
-            lines.append(training.command(here[0].runs(seed), seed))
+            lines += training.commands(here[0].runs(seed), seed)
         lines += [
             f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
         ]

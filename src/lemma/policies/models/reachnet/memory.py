@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from lemma.policies.interfaces import PolicyInput
+from lemma.motion.outcome import REFUSED, Outcome
+from lemma.policies.interfaces import PastStep, PolicyInput
 from lemma.policies.models.reachnet.scene_table import SceneTable, numbered
 from lemma.policies.models.view_cache import ViewCache
-from lemma.tasks.subtask import Primitive, SubTask
+from lemma.tasks.subtask import Primitive
 
 _NOTICED = 0.03
 """Probability from which a thing counts for the reader, which then knows which colors
@@ -27,7 +28,6 @@ _AROUND_M = 0.01
 _LEVEL_M = 0.02
 """Error of heights [m]."""
 _DRAGS = (Primitive.HOOK, Primitive.POKE)
-_PLACES = ("xy", "yaw", "top")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +74,24 @@ class Sighting:
         return self.table.showing(seen | (there & ~self._covered()))
 
     def _covered(self) -> Tensor:
-        """Return whether something that is seen lies on each place, (B, E) bool."""
-        table, traits = self.table, self.table.traits
-        upper = table.xy[:, : table.cargo]
+        """Return whether something lies on each place, (B, E) bool."""
+        table, traits, cargo = self.table, self.table.traits, self.table.cargo
+        known = table.present | (self.shares >= _SURE)
+        upper = table.xy[:, :cargo]
         apart = (table.xy[:, :, None] - upper[:, None]).norm(dim=-1)
-        bottom_m = (table.top - traits.height_m)[:, : table.cargo]
-        over = bottom_m[:, None] > traits.height_m[:, None] - _LEVEL_M
+        # Faint things are taken to lie on the table: the map has the top of another one
+        # where that hides them.
+        top_m = torch.where(known & (table.top > 0.0), table.top, traits.height_m)
+        bottom_m = (table.top - traits.height_m)[:, :cargo]
+        over = bottom_m[:, None] > top_m[:, :, None] - _LEVEL_M
         near = apart < traits.support_m[:, None] + _AROUND_M
         itself = torch.eye(*apart.shape[1:], dtype=torch.bool, device=apart.device)
-        seen = table.present[:, None, : table.cargo] & ~itself
-        covered: Tensor = (near & over & seen).any(-1)
+        covered: Tensor = (near & over & known[:, None, :cargo] & ~itself).any(-1)
         return covered
 
 
 class Memory(ViewCache[Sighting]):
-    """What views show, as long as these are inputs of decisions."""
+    """Sightings of views, as long as these are inputs of decisions."""
 
     def look(
         self,
@@ -113,30 +116,50 @@ class Memory(ViewCache[Sighting]):
             self.update(zip(new, map(found.rows, rows[:, None]), strict=True))
 
     def recall(self, given: PolicyInput) -> Sighting:
-        """Return what the present view shows, with what earlier ones showed.
+        """Return what the present view shows, with what is known from before.
 
-        Each entity has its place in the last view in which it is seen, or else in that
-        in which it is likeliest, of those since it was moved.
+        Each entity has its place in the last view in which it is seen, or the place to
+        which it was moved since, or else its likeliest place since it was moved.
         """
-        views = Sighting.joined([self[view] for view in given.views])
-        table, shares, count = views.table, views.shares, len(views.shares)
-        moved = torch.zeros(shares.shape, dtype=torch.bool)
-        for row, step in enumerate(given.past):
-            moved[: row + 1] |= _moved(step.subtask, table)
-        shares = shares.masked_fill(moved.to(shares.device), 0.0)
-        order = torch.arange(1, count + 1, device=shares.device)[:, None]
-        sure = (shares >= _SURE) * order
-        best = torch.where(sure.any(0), sure.argmax(0), shares.argmax(0))
-        which = torch.arange(len(best), device=best.device)
-        now = table.rows(order[-1] - 1)
-        places = {name: getattr(table, name)[best, which][None] for name in _PLACES}
-        ever = views.ever.amax(0, keepdim=True)
-        return Sighting(replace(now, **places), shares[best, which][None], ever)
+        first, *views = given.views
+        found = self[first]
+        for step, view in zip(given.past, views, strict=True):
+            found = _later(_after(found, step), self[view])
+        return found
 
 
-def _moved(subtask: SubTask, table: SceneTable) -> Tensor:
-    """Return whether a sub-task moves each entity, or tries to, (E,) bool."""
-    names = {subtask.pick}
-    if subtask.primitive in _DRAGS:
-        names.add(subtask.place)
-    return torch.tensor([name in names for name in table.entities.names])
+def _after(seen: Sighting, step: PastStep) -> Sighting:
+    """Return what is known after a sub-task, before the next view."""
+    subtask, table, shares = step.subtask, seen.table, seen.shares.clone()
+    names = table.entities.names
+    if step.outcome in REFUSED:
+        return seen
+    moved = {subtask.pick} | ({subtask.place} if subtask.primitive in _DRAGS else set())
+    shares[:, [names.index(name) for name in moved if name in names]] = 0.0
+    if (
+        step.outcome == Outcome.SUCCESS
+        and subtask.primitive == Primitive.MOVE
+        and {subtask.pick, subtask.place} <= {*names}
+    ):
+        top, bottom = names.index(subtask.pick), names.index(subtask.place)
+        xy, top_m, height_m = table.xy.clone(), table.top.clone(), table.traits.height_m
+        low_m = top_m[:, bottom] if bottom < table.cargo else height_m[bottom]
+        top_m[:, top] = low_m + height_m[top]
+        xy[:, top] = xy[:, bottom]
+        shares[:, top] = shares[:, bottom]
+        table = replace(table, xy=xy, top=top_m)
+    return replace(seen, table=table, shares=shares)
+
+
+def _later(known: Sighting, seen: Sighting) -> Sighting:
+    """Return what is known with the next view."""
+    newer = (seen.shares >= _SURE) | (seen.shares >= known.shares)
+    old, new = known.table, seen.table
+    table = replace(
+        new,
+        xy=torch.where(newer[..., None], new.xy, old.xy),
+        yaw=torch.where(newer, new.yaw, old.yaw),
+        top=torch.where(newer, new.top, old.top),
+    )
+    shares = torch.where(newer, seen.shares, known.shares)
+    return Sighting(table, shares, torch.maximum(known.ever, seen.ever))

@@ -23,12 +23,10 @@ from lemma.policies.layers import (
     upsample_to,
 )
 from lemma.policies.models.grid import Cells
+from lemma.policies.models.reachnet.marks import STRIDE, Marks, read_points
 from lemma.policies.models.reachnet.memory import Sighting
 from lemma.policies.models.reachnet.scene_table import COLUMNS, HEADING_M, SceneTable
 from lemma.scene.raster import RASTER
-
-STRIDE = 4
-"""Cells of the map along each side of an output cell."""
 
 _IMAGE, _INPUTS = 5, 5 * STRIDE**2 + 2
 _HEIGHT_M = 0.1
@@ -58,26 +56,6 @@ class PerceptionConfig:
     joint_dropout: Share = 0.3
     """Share of robots without joint angles in training, so that reach is also estimated
     from the image."""
-
-
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """Output of the U-Net for B maps of H x W cells, with R robots and N points.
-
-    The points are the entities and one ahead on the stick.
-    """
-
-    points: Tensor
-    """Log-probability of each cell, the last one for "not present",
-    (B, N + R, H * W + 1)."""
-    offsets: Tensor
-    """Offsets in the cell, in sides of a cell, (B, N + R, 2, H * W)."""
-    yaw: Tensor
-    """Cosine and sine of the yaw times each order of symmetry, (B, folds, 2, H * W)."""
-    features: Tensor
-    """(B, channels, H * W)."""
-    shape: tuple[int, int]
-    """H and W."""
 
 
 class _Trunk(Network):
@@ -216,21 +194,22 @@ class Perception(nn.Module):
             coarse: Coarse features of the maps.
             batch: The maps.
         """
-        points = _read_points(marks, batch)
-        count = len(self.entities)
+        count, stick = len(self.entities), self.entities.stick
+        points = read_points(marks, stick, batch.raster)
         xy, bases = points[:, :count], points[:, count + 1 :]
         cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
         fold = constant(_folds(self.entities), xy.device)
-        along = points[:, count] - xy[:, self.entities.stick]
+        along = points[:, count] - xy[:, stick]
         yaw = torch.atan2(sin, cos) / fold.clamp(min=1)
         yaw = torch.where(fold > 0, yaw, 0.0)
         yaw = torch.cat([yaw[:, :-1], torch.atan2(along[:, 1:], along[:, :1])], 1)
         absent = marks.points[:, :count, -1]
+        cargo = torch.arange(count, device=xy.device) < self.entities.cargo
         table = SceneTable(
             present=absent < _HALF,
             xy=xy,
             yaw=yaw,
-            top=_top(batch, xy),
+            top=torch.where(cargo, _top(batch, xy), 0.0),
             bases=bases,
             radii=self.reach(coarse, batch, bases),
             ground=self.table_seen(batch).sigmoid(),
@@ -351,19 +330,6 @@ def _image(batch: Batch) -> Tensor:
 
 def _cells(batch: Batch) -> Cells:
     return Cells.of(batch.raster, STRIDE)
-
-
-def _read_points(marks: Marks, batch: Batch) -> Tensor:
-    """Return the most likely positions, (B, N + R, 2) [m]."""
-    columns = marks.shape[1]
-    cell = marks.points[..., :-1].argmax(2)
-    index = cell[:, :, None, None].expand(-1, -1, 2, 1)
-    offset = marks.offsets.gather(3, index).squeeze(3).clamp(-2.0, 2.0)
-    place = torch.stack([cell % columns, cell // columns], -1) + 0.5 + offset
-    size, raster = batch.raster.cell_m * STRIDE, batch.raster
-    x = (place[..., 0] - raster.columns / STRIDE / 2) * size
-    y = (raster.rows / STRIDE / 2 - place[..., 1]) * size
-    return torch.stack([x, y], -1)
 
 
 def _top(batch: Batch, xy: Tensor) -> Tensor:

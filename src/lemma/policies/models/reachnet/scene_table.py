@@ -159,13 +159,12 @@ class SceneTable:
 
     def showing(self, present: Tensor) -> Self:
         """Return the scenes with some entities only, (B, E) bool."""
-        numbers = torch.arange(present.shape[1], device=present.device)
         return replace(
             self,
             present=present,
             xy=torch.where(present[..., None], self.xy, FAR_M),
             yaw=torch.where(present, self.yaw, 0.0),
-            top=torch.where(present & (numbers < self.cargo), self.top, 0.0),
+            top=torch.where(present, self.top, 0.0),
         )
 
     def rows(self, index: Tensor) -> Self:

@@ -21,8 +21,9 @@ from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
+from lemma.policies.models.reachnet.marks import Marks
 from lemma.policies.models.reachnet.noise import Noise
-from lemma.policies.models.reachnet.perception import Marks, PerceptionConfig
+from lemma.policies.models.reachnet.perception import PerceptionConfig
 from lemma.policies.models.reachnet.scene_table import true_radii
 from lemma.policies.models.reachnet.scene_table import true_table as true_scene
 from lemma.policies.models.team_reachnet.orders import next_orders

@@ -14,12 +14,8 @@ from lemma.policies.entities import EntitySet
 from lemma.policies.layers import constant
 from lemma.policies.models.grid import Cells
 from lemma.policies.models.reachnet.grounder import reach_loss
-from lemma.policies.models.reachnet.perception import (
-    STRIDE,
-    Marks,
-    Perception,
-    PerceptionConfig,
-)
+from lemma.policies.models.reachnet.marks import STRIDE, Marks
+from lemma.policies.models.reachnet.perception import Perception, PerceptionConfig
 from lemma.policies.models.reachnet.scene_table import SceneTable
 from lemma.policies.models.team_reachnet.table import TeamTable, team_table
 from lemma.policies.models.team_reachnet.teams import ROBOTS
