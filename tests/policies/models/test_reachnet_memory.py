@@ -199,5 +199,5 @@ def test_the_stick_has_its_length(hidden: int) -> None:
     marks = Marks(
         points, offsets, torch.zeros(0), torch.zeros(0), (cells.rows, cells.columns)
     )
-    found = read_points(marks, stick, RASTER)[0, stick : stick + 2]
+    found = read_points(marks, stick, HEADING_M, RASTER)[0, stick : stick + 2]
     assert found.tolist() == [pytest.approx(at, abs=1e-4) for at in ends]

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lemma.policies.models.reachnet.scene_table import HEADING_M
 from lemma.scene.raster import Raster
 
 STRIDE = 4
 """Cells of the map along each side of an output cell."""
 _CANDIDATES = 16
 """Number of likely cells of each point of the stick."""
-_LENGTH_M = 0.005
+_ERROR_M = 0.005
 """Error of the distance of predicted points of the stick [m]."""
 
 
@@ -36,17 +35,18 @@ class Marks:
     """H and W."""
 
 
-def read_points(marks: Marks, stick: int, raster: Raster) -> Tensor:
+def read_points(marks: Marks, stick: int, length_m: float, raster: Raster) -> Tensor:
     """Return the most likely positions of all points, (B, N + R, 2) [m].
 
     Args:
         marks: Marks of maps.
         stick: Number of the stick, the last entity; after it comes the point ahead.
+        length_m: Distance of both [m].
         raster: Raster of the maps.
     """
     cell = marks.points[..., :-1].argmax(2, keepdim=True)
     points = _positions(cell, marks.offsets, raster).squeeze(2)
-    points[:, stick : stick + 2] = _stick_points(marks, stick, raster)
+    points[:, stick : stick + 2] = _stick_points(marks, stick, length_m, raster)
     return points
 
 
@@ -68,7 +68,7 @@ def _positions(cell: Tensor, offsets: Tensor, raster: Raster) -> Tensor:
     return torch.stack([x, y], -1)
 
 
-def _stick_points(marks: Marks, stick: int, raster: Raster) -> Tensor:
+def _stick_points(marks: Marks, stick: int, length_m: float, raster: Raster) -> Tensor:
     """Return the likeliest origin of sticks and point ahead, (B, 2, 2) [m].
 
     Their distance is known. Each point alone would be wrong where an arm hides it.
@@ -77,7 +77,7 @@ def _stick_points(marks: Marks, stick: int, raster: Raster) -> Tensor:
     likely, cells = marks.points[:, both, :-1].topk(_CANDIDATES, 2)
     points = _positions(cells, marks.offsets[:, both], raster)
     origin, ahead = points[:, 0, :, None], points[:, 1, None]
-    off = ((ahead - origin).norm(dim=-1) - HEADING_M) / _LENGTH_M
+    off = ((ahead - origin).norm(dim=-1) - length_m) / _ERROR_M
     scores = likely[:, 0, :, None] + likely[:, 1, None] - 0.5 * off.square()
     best = scores.flatten(1).argmax(1)
     rows = torch.arange(len(best), device=best.device)

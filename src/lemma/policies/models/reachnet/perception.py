@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.arguments import Depth, Share, Width, Widths
+from lemma.core.arguments import Depth, Share, Size, Width, Widths
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import (
@@ -53,6 +53,9 @@ class PerceptionConfig:
     """Residual blocks at each resolution of the encoder."""
     ring_width: Width = 64
     """Hidden width of the network from features of a robot to its reach."""
+    heading_m: Size = HEADING_M
+    """Position of the point ahead on the stick's x axis [m], which with its origin
+    gives its pose; 0.75 in weights of earlier releases."""
     joint_dropout: Share = 0.3
     """Share of robots without joint angles in training, so that reach is also estimated
     from the image."""
@@ -195,7 +198,7 @@ class Perception(nn.Module):
             batch: The maps.
         """
         count, stick = len(self.entities), self.entities.stick
-        points = read_points(marks, stick, batch.raster)
+        points = read_points(marks, stick, self.config.heading_m, batch.raster)
         xy, bases = points[:, :count], points[:, count + 1 :]
         cos, sin = self._turns(marks, _cells(batch).holding(xy)).unbind(2)
         fold = constant(_folds(self.entities), xy.device)
@@ -263,7 +266,7 @@ class Perception(nn.Module):
         stick = table.stick
         yaw = table.yaw[:, stick]
         along = torch.stack([yaw.cos(), yaw.sin()], -1)
-        end = table.xy[:, stick] + HEADING_M * along
+        end = table.xy[:, stick] + self.config.heading_m * along
         xy = torch.cat([table.xy, end[:, None], table.bases], 1)
         there = torch.cat(
             [
