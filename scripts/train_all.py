@@ -63,8 +63,10 @@ class Job:
         report = run / REPORT
         if not report.is_file() or read_json(report)["status"] == "interrupted":
             return commands
-        told = read_metadata(run / WEIGHTS).command if commands[1:] else ""
-        return tuple(one for one in commands[1:] if one not in told)
+        if not commands[1:]:
+            return ()
+        ended = read_metadata(run / WEIGHTS).command.split("; ")
+        return tuple(one for one in commands[1:] if one not in ended)
 
 
 @dataclass(frozen=True)

@@ -244,6 +244,29 @@ def test_impossible_options_are_refused(wrong: dict[str, int]) -> None:
         ReachNetConfig(**wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--teach", "reachnet"], "has no weights.safetensors"),
+        (["--teach", ".", "--start", "reachnet"], "no others"),
+        (["--teach", ".", "--weights", "reader.pt"], "no others"),
+    ],
+)
+def test_published_weights_are_not_taught(
+    words: list[str],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "weights.safetensors").touch()
+    monkeypatch.setattr(sys, "argv", ["measure_reading.py", *words])
+    with pytest.raises(SystemExit):
+        measure_reading.main()
+    assert reason in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_its_reader_is_taught_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -101,6 +101,7 @@ def test_what_is_seen_now_is_where_it_is_seen() -> None:
         (move(RED, "shared"), Outcome.SUCCESS, False),
         (move(RED, PAD), Outcome.DROPPED, False),
         (move(RED, PAD), Outcome.UNREACHABLE, True),
+        (move(RED, PAD), Outcome.NOTHING_TO_PICK, False),
         (SubTask("robot_0", Primitive.HOOK, STICK, RED), Outcome.SUCCESS, False),
         (SubTask("robot_0", Primitive.PREHOOK, STICK, RED), Outcome.SUCCESS, True),
         (SubTask("", Primitive.STOP, "", ""), Outcome.STOPPED, True),
@@ -172,7 +173,12 @@ def test_views_are_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     later = inputs[0].with_past((PastStep(inputs[1].view, OTHER),))
     model.act([later, *inputs_of(drawn_batch(1, seed=5))])
     assert looked == [3, 1]
-    assert len(copy.deepcopy(model)._memory) == 0
+    # Decisions are functions of the input: a copy has seen nothing of it before.
+    other = copy.deepcopy(model)
+    assert len(other._memory) == 0
+    ((kept,), (fresh,)) = model.act([later]), other.act([later])
+    assert kept.subtask == fresh.subtask
+    del looked[2:]
     with torch.no_grad():
         next(model.eye.parameters()).add_(0.0)
     assert model.act(inputs) == first

@@ -2,7 +2,7 @@
 
 The map is fused from cameras above the robots, so arms hide things. All views since the
 episode began are inputs of a decision. Of a thing that is not seen now, the memory has
-the likeliest place in the views since it was moved.
+the place where it was seen last, or where a sub-task has put it since.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -28,6 +28,9 @@ _AROUND_M = 0.01
 _LEVEL_M = 0.02
 """Error of heights [m]."""
 _DRAGS = (Primitive.HOOK, Primitive.POKE)
+_UNMOVED = REFUSED - {Outcome.NOTHING_TO_PICK}
+"""Outcomes after which everything is where it was. Where there is nothing to pick, the
+thing that was looked for is not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +135,7 @@ def _after(seen: Sighting, step: PastStep) -> Sighting:
     """Return what is known after a sub-task, before the next view."""
     subtask, table, shares = step.subtask, seen.table, seen.shares.clone()
     names = table.entities.names
-    if step.outcome in REFUSED:
+    if step.outcome in _UNMOVED:
         return seen
     moved = {subtask.pick} | ({subtask.place} if subtask.primitive in _DRAGS else set())
     shares[:, [names.index(name) for name in moved if name in names]] = 0.0
