@@ -5,6 +5,9 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
     python scripts/control_baselines.py --print
     python scripts/control_baselines.py --seeds 0,1,2
     python scripts/control_baselines.py --observation privileged
+    python scripts/control_baselines.py --suite ladder --out runs/reach \
+        --tasks reach_fixed,reach_varied,reach --cameras robot_0_reach,robot_0_wrist \
+        --size 224x224 --chunk 16 --executed 5 --state full --train-s 240
 
 It runs the commands that it prints. First it generates demonstrations and renders their
 camera images as arrays in memory. Then it runs one training for each policy and seed,
@@ -63,6 +66,8 @@ class Plan:
     film_folder: Annotated[Path | None, tyro.conf.arg(name="film")] = None
     """Folder of the rendered demonstrations; in OUT by default. /dev/shm is fast."""
     tasks: str = ",".join(CONTROL_TASKS)
+    suite: str = "lemma"
+    """Suite of the tasks."""
     policies: str = ",".join(POLICIES)
     seeds: str = "0"
     phases: str = ",".join(PHASES)
@@ -76,6 +81,13 @@ class Plan:
     train_s: float = 0.0
     """Duration of a training [s], instead of a number of steps; 0 to use steps."""
     batch: int = 128
+    chunk: int = 0
+    """Predicted actions; 0 for the default of each policy."""
+    executed: int = 0
+    """Executed actions of a chunk; 0 for the default of each policy."""
+    state: Literal["", "full", "grippers"] = ""
+    """What the policy is told of the arms; without a value, only the openings of
+    grippers if it has images."""
     points: int = 4
     """Number of checkpoints for the learning curve."""
     workers: int = os.cpu_count() or 1
@@ -111,7 +123,8 @@ class Plan:
         state = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
         seen = f"--cameras {self.cameras} " if self.cameras else ""
         return [
-            f"lemma generate --tasks {self.tasks} --split train{episodes} "
+            f"lemma generate --suite {self.suite} --tasks {self.tasks} "
+            f"--split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
             f"python {TRAINER} film {self.recipe} {self.film} --tasks {self.tasks} "
             f"--size {self.size} {seen}--fps {self.fps} --environment-state {state} "
@@ -125,11 +138,14 @@ class Plan:
             long = f"--train-s {self.train_s:g}"
         # With the poses of hands as input a policy infers the goal from their motion,
         # and ignores the images.
-        state = "grippers" if self.observation == OBSERVATIONS[0] else "full"
+        hidden = "grippers" if self.observation == OBSERVATIONS[0] else "full"
+        lengths = {"chunk": self.chunk, "executed": self.executed}
+        changed = "".join(f" --{name} {n}" for name, n in lengths.items() if n)
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
             f"--policy {name} --seed {seed} {long} "
-            f"--batch {self.batch} --points {self.points} --state {state}"
+            f"--batch {self.batch} --points {self.points} "
+            f"--state {self.state or hidden}{changed}"
         )
 
     def evaluation(self, run: Run, checkpoint: Path, split: str) -> str:
@@ -140,7 +156,8 @@ class Plan:
         some = f" --episodes {episodes}" if episodes else ""
         kind = LEROBOT if self.observation == OBSERVATIONS[0] else LEROBOT_PRIVILEGED
         return (
-            f"lemma evaluate --policy {kind}{checkpoint} --tasks {self.tasks} "
+            f"lemma evaluate --policy {kind}{checkpoint} "
+            f"--suite {self.suite} --tasks {self.tasks} "
             f"--policy-args hz={self.fps} --split {split}{some} "
             f"--workers {self.workers} --out {out}"
         )

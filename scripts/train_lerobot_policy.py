@@ -43,7 +43,7 @@ POLICIES: dict[str, dict[str, Any]] = {
         "n_obs_steps": 1,
         "horizon": 8,
         "n_action_steps": 3,
-        "drop_n_last_frames": 5,
+        "drop_n_last_frames": 0,
         "crop_ratio": 1.0,
         "down_dims": (64, 128, 256),
         "use_group_norm": True,
@@ -53,7 +53,8 @@ POLICIES: dict[str, dict[str, Any]] = {
     },
 }
 """Changes to LeRobot's defaults. Demonstrations are deterministic, so ACT needs no
-latent variable."""
+latent variable. Chunks may pass the end of an episode: its last waypoint stays the
+target."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
@@ -69,10 +70,33 @@ Learn = Callable[[Batch], torch.Tensor]
 """Runs a training step, and returns its loss."""
 
 
+def options(name: str, chunk: int = 0, executed: int = 0) -> dict[str, Any]:
+    """Return the changes to LeRobot's defaults.
+
+    Args:
+        name: One of :data:`POLICIES`.
+        chunk: Number of predicted actions; 0 for that of :data:`POLICIES`.
+        executed: Number of actions that are executed of them, likewise.
+    """
+    found = dict(POLICIES[name])
+    predicted = "chunk_size" if name == "act" else "horizon"
+    found[predicted] = chunk or found[predicted]
+    found["n_action_steps"] = executed or found["n_action_steps"]
+    return found
+
+
 def make_policy(
-    name: str, seen: Film, device: str, state: str = FULL
+    name: str, seen: Film, device: str, state: str = FULL, **lengths: int
 ) -> tuple[Any, Any, Any]:
-    """Return an untrained policy with its pre- and post-processors."""
+    """Return an untrained policy with its pre- and post-processors.
+
+    Args:
+        name: One of :data:`POLICIES`.
+        seen: Its training data.
+        device: Device of the policy.
+        state: One of :data:`STATES`.
+        lengths: As in :func:`options`.
+    """
     inputs, outputs = seen.features()
     config = PreTrainedConfig.get_choice_class(name)(
         input_features=inputs,
@@ -80,7 +104,7 @@ def make_policy(
         device=device,
         push_to_hub=False,
         pretrained_backbone_weights=None,
-        **POLICIES[name],
+        **options(name, **lengths),
     )
     if name == "act":
         # LeRobot's ACT has frozen batch normalization in its ResNet, for weights of
@@ -191,7 +215,9 @@ def train(asked: argparse.Namespace) -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.set_float32_matmul_precision("high")
     seen = Film.load(asked.film, device)
-    made = policy, before, _ = make_policy(asked.policy, seen, device, asked.state)
+    lengths = {"chunk": asked.chunk, "executed": asked.executed}
+    made = make_policy(asked.policy, seen, device, asked.state, **lengths)
+    policy, before, _ = made
     batches = seen.batches(policy.config, asked.batch, asked.seed)
     print(f"{len(seen.last)} frames, {sum(p.numel() for p in policy.parameters())}")
     policy.train()
@@ -249,6 +275,8 @@ def main(words: Sequence[str] | None = None) -> None:
         "--state", choices=STATES, default=FULL, help="what is told of the arms"
     )
     training.add_argument("--batch", type=int, default=128)
+    training.add_argument("--chunk", type=int, default=0, help="predicted actions")
+    training.add_argument("--executed", type=int, default=0, help="actions of a chunk")
     training.add_argument("--lr", type=float, default=5e-4)
     training.add_argument("--steps", type=int, default=0)
     training.add_argument("--train-s", type=float, default=600.0)
