@@ -24,6 +24,7 @@ from unittest.mock import patch
 import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies import get_policy_class, make_pre_post_processors
+from lerobot.utils.constants import OBS_IMAGES
 
 from demonstration_film import Batch, Film, film
 from lemma.core.files import write_json
@@ -113,11 +114,34 @@ def make_policy(
         act = import_module("lerobot.policies.act.modeling_act")
         vars(act)["FrozenBatchNorm2d"] = torch.nn.BatchNorm2d
     policy = get_policy_class(name)(config).to(device)
+    if name == "act" and config.image_features:
+        normalize_together(policy.model)
     if device != "cpu":
         policy = policy.to(memory_format=torch.channels_last)
     statistics = seen.statistics(poses=state == FULL)
     before, after = make_pre_post_processors(config, dataset_stats=statistics)
     return policy, before, after
+
+
+def normalize_together(act: Any) -> None:
+    """Make batch normalization see the images of all cameras of ACT as one batch.
+
+    LeRobot's ACT runs its ResNet camera by camera. In training each camera would be
+    normalized by its own statistics, but there is only one average of them for
+    inference: waypoints were 9 cm off after training, and 1 cm during it.
+
+    Args:
+        act: The network of the policy.
+    """
+    alone = act.backbone.forward
+    seen: list[torch.Tensor] = []
+
+    def look(_: Any, inputs: tuple[Batch]) -> None:
+        images = inputs[0][OBS_IMAGES]
+        seen[:] = alone(torch.cat(images))["feature_map"].chunk(len(images))
+
+    act.register_forward_pre_hook(look)
+    act.backbone.forward = lambda _: {"feature_map": seen.pop(0)}
 
 
 def save(

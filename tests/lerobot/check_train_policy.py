@@ -4,6 +4,7 @@ import math
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
 import pytest
@@ -185,6 +186,35 @@ def test_trained_policies_are_evaluated_as_they_are(
         assert not found.errors
         (row,) = found.rows
         assert row["control"]["actions"] == 10
+
+
+def test_images_are_normalized_as_in_training() -> None:
+    seen = Film.load(filmed(SENTENCE), "cpu")
+    # One camera is dark: its own statistics are far from those of all.
+    first, *others = seen.images
+    images = {first: seen.images[first] // 8, **{n: seen.images[n] for n in others}}
+    seen = Film(seen.vectors, images, seen.last)
+    learner, before, _ = make_policy("act", seen, "cpu")
+    batch = before(seen.samples(torch.arange(0, len(seen.last), 8), learner.config))
+    features: list[torch.Tensor] = []
+
+    def features_of(policy: Any) -> torch.Tensor:
+        features.clear()
+        hook = policy.model.encoder_img_feat_input_proj.register_forward_pre_hook(
+            lambda _, inputs: features.append(inputs[0])
+        )
+        policy.forward(batch)
+        hook.remove()
+        return torch.stack(features)
+
+    with torch.no_grad():
+        learner.train()
+        for _ in range(60):
+            in_training = features_of(learner)
+        learner.save_pretrained(work() / "normalized")
+        found = features_of(type(learner).from_pretrained(work() / "normalized").eval())
+    # Camera by camera it would be 0.46; this batch is small, and so is its variance.
+    assert (found - in_training).norm() < 0.15 * in_training.norm()
 
 
 @pytest.mark.parametrize("policy", POLICIES)
