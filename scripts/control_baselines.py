@@ -5,9 +5,9 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
     python scripts/control_baselines.py --print
     python scripts/control_baselines.py --seeds 0,1,2
     python scripts/control_baselines.py --observation privileged
-    python scripts/control_baselines.py --suite ladder --out runs/reach \
+    python scripts/control_baselines.py --suite ladder --label reach \
         --tasks reach_fixed,reach_varied,reach --cameras robot_0_reach,robot_0_wrist \
-        --size 224x224 --chunk 16 --executed 5 --state full --train-s 240
+        --size 224x224 --chunk 16 --executed 5 --state full --train-s 600
 
 It runs the commands that it prints. First it generates demonstrations and renders their
 camera images as arrays in memory. Then it runs one training for each policy and seed,
@@ -37,7 +37,6 @@ import tyro
 from learning_curves import CURVE, LearningCurve, Point
 from lemma.core.files import read_json, write_json
 from lemma.evaluation.analysis.result import read_result
-from lemma.evaluation.experiments.catalog import CONTROL_TASKS
 from lemma.evaluation.records import SUMMARY
 from lemma.policies.class_path import LEROBOT, LEROBOT_PRIVILEGED
 from side_by_side import start, visible_gpus
@@ -65,9 +64,11 @@ class Plan:
     out: Path = Path("runs")
     film_folder: Annotated[Path | None, tyro.conf.arg(name="film")] = None
     """Folder of the rendered demonstrations; in OUT by default. /dev/shm is fast."""
-    tasks: str = ",".join(CONTROL_TASKS)
+    tasks: str = "pass,stack,poke,hook"
     suite: str = "lemma"
     """Suite of the tasks."""
+    label: str = ""
+    """Added to the names of all folders, so that several such trainings share OUT."""
     policies: str = ",".join(POLICIES)
     seeds: str = "0"
     phases: str = ",".join(PHASES)
@@ -105,17 +106,21 @@ class Plan:
     @property
     def film(self) -> Path:
         """Folder of the rendered demonstrations."""
-        return self.film_folder or self.out / f"film-{self.observation}"
+        return self.film_folder or self.out / self.labeled(f"film-{self.observation}")
 
     @property
     def recipe(self) -> Path:
         """Folder of the demonstrations."""
-        return self.out / "recipe"
+        return self.out / self.labeled("recipe")
+
+    def labeled(self, name: str) -> str:
+        """Return a name with the label of these trainings."""
+        return f"{name}-{self.label}" if self.label else name
 
     def run(self, name: str, seed: int) -> Path:
         """Return the folder of a training, in which ``lemma reproduce`` finds it."""
         suffix = "" if self.observation == OBSERVATIONS[0] else f"-{self.observation}"
-        return self.out / f"seed-{seed}" / f"{name}{suffix}"
+        return self.out / f"seed-{seed}" / self.labeled(f"{name}{suffix}")
 
     def data_commands(self) -> list[str]:
         """Return the commands that make the training data."""

@@ -22,7 +22,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import write_json
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Asked, Result, summarise
-from lemma.evaluation.experiments.catalog import CONTROL_TASKS, EXPERIMENTS
+from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.report import measures, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
@@ -337,19 +337,21 @@ def test_a_policy_that_does_nothing_has_a_dash_for_shares_of_its_time() -> None:
     assert "mine:Idle" in page([entry_of(made)])
 
 
-NAME = "act-privileged"
-TITLE = EXPERIMENTS[NAME].title
+NAME = "act-reach"
+TITLE, TASKS = EXPERIMENTS[NAME].title, EXPERIMENTS[NAME].tasks
 CURVED = LearningCurve((Point(1000, 40, 1), Point(12_000, 40, 10)))
 
 
 def test_they_stand_in_a_table_of_their_own_with_what_was_not_run() -> None:
-    made = result(3, experiment=NAME, tasks=CONTROL_TASKS)
+    made = result(3, experiment=NAME, tasks=TASKS)
     entries = entries_of([result(5), made], complete=True)
     table = tables.control_level(entries)
-    assert table.header == ("success [%]", "instructions", *CONTROL_TASKS, "mean")
+    assert {*TASKS, *EXPERIMENTS["keypose"].tasks} < {*table.header}
     (row,) = [row for row in table.rows if row[0] == TITLE]
-    assert row[1:3] == ("high-level", "30.0 (11–60)")
-    (other,) = [row for row in table.rows if row[:2] == ("ACT, camera images", "blind")]
+    found = dict(zip(table.header, row, strict=True))
+    assert found["instructions"] == "high-level"
+    assert all(found[task] == "30.0 (11–60)" for task in TASKS)
+    (other,) = [row for row in table.rows if row[0] == EXPERIMENTS["act-lift"].title]
     assert other[-1] == NOT_RUN
     titles = {row[0] for row in tables.by_task(entries, "high_level").rows}
     assert "ReachNet" in titles
@@ -357,9 +359,9 @@ def test_they_stand_in_a_table_of_their_own_with_what_was_not_run() -> None:
 
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:
-    whole = result(3, experiment=NAME, tasks=CONTROL_TASKS, episodes=60)
+    whole = result(3, experiment=NAME, tasks=TASKS, episodes=60)
     assert not any("ample" in one.caption for one in sections(entries_of([whole])))
-    part = result(3, experiment=NAME, tasks=CONTROL_TASKS)
+    part = result(3, experiment=NAME, tasks=TASKS)
     assert any("A sample:**" in one.caption for one in sections(entries_of([part])))
 
 

@@ -214,8 +214,6 @@ def _read() -> tuple[dict[str, Experiment], dict[str, Training]]:
 
 EXPERIMENTS, TRAININGS = _read()
 """Experiments by name, in the order of the tables; trainings by name of the weights."""
-CONTROL_TASKS = EXPERIMENTS["act"].tasks
-"""Tasks of the policies at control level, with one policy for all of them."""
 
 
 def selected(name: str) -> list[Experiment]:

@@ -120,7 +120,9 @@ class Reproduction:
             return replace(policy, name=policy.name.removesuffix(checkpoint) + path)
         names = list(policy.parts)
         for part in learned_parts(policy.name):
-            how = " && ".join(TRAININGS[part].commands(runs, SEEDS[0]))
+            how = experiment.training or " && ".join(
+                TRAININGS[part].commands(runs, SEEDS[0])
+            )
             names[names.index(part)] = self._weights(part, _FILE, how)
         return replace(policy, name="+".join(names))
 
@@ -168,9 +170,11 @@ def commands(experiments: list[Experiment]) -> list[str]:
             if seed == SEEDS[0]:
                 lines += _as_it_was(training.name)
             lines += training.commands(here[0].runs(seed), seed)
-        lines += [
-            f"lemma reproduce {one.name} --weights {one.runs(seed)}" for one in here
-        ]
+        for one in here:
+            if learned_parts(one.policy.name):
+                lines.append(f"lemma reproduce {one.name} --weights {one.runs(seed)}")
+            elif seed == SEEDS[0]:
+                lines.append(f"lemma reproduce {one.name}")
     for one in elsewhere:
         # One command may make the weights of several experiments.
         if one.training not in lines:

@@ -40,7 +40,7 @@ from lemma.evaluation.report.policy_results import (
     tasks_of,
 )
 from lemma.tasks.language.template import ALL_KINDS, EVALUATION_KINDS
-from lemma.tasks.names import in_order
+from lemma.tasks.names import LADDER, in_order
 from lemma.tasks.suite import SUITE
 
 LENIENT = "*lenient*"
@@ -185,7 +185,8 @@ def control_level(entries: Iterable[PolicyResults]) -> Table:
         for entry in entries
         if entry.experiment and entry.suite == CONTROL_LEVEL
     ]
-    tasks = in_order(task for _, experiment in chosen for task in experiment.tasks)
+    played = {task for _, experiment in chosen for task in experiment.tasks}
+    tasks = [task for task in LADDER if task in played]
     columns = [*(Column(task, {"task": task}) for task in tasks), _MEAN]
     rows = (
         next(_lines(entry, columns, words(kind, "-"), kind=kind))
