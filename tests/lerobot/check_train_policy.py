@@ -188,6 +188,15 @@ def test_trained_policies_are_evaluated_as_they_are(
         assert row["control"]["actions"] == 10
 
 
+@pytest.mark.parametrize("policy", POLICIES)
+def test_chunks_have_the_asked_length(policy: str) -> None:
+    seen = Film.load(filmed(SENTENCE), "cpu")
+    learner, _, _ = make_policy(policy, seen, "cpu", chunk=16, executed=5)
+    samples = seen.samples(torch.arange(3), learner.config)
+    assert samples["action"].shape[1] == 16
+    assert learner.config.n_action_steps == 5
+
+
 def test_images_are_normalized_as_in_training() -> None:
     seen = Film.load(filmed(SENTENCE), "cpu")
     # One camera is dark: its own statistics are far from those of all.
