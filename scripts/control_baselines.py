@@ -87,7 +87,7 @@ class Plan:
     executed: int = 0
     """Executed actions of a chunk; 0 for the default of each policy."""
     state: Literal["", "full", "grippers"] = ""
-    """What the policy is told of the arms; without a value, only the openings of
+    """State of the arms in the policy's input; without a value, only the openings of
     grippers if it has images."""
     points: int = 4
     """Number of checkpoints for the learning curve."""

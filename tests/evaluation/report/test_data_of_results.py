@@ -17,6 +17,7 @@ from lemma.dataset.recipe.replay import expected_digests
 from lemma.dataset.recipe.schema import FORMAT_VERSION
 from lemma.dataset.rendered.capture import KeyframeForm
 from lemma.evaluation.analysis.result import Result
+from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, EXPERIMENTS
 from lemma.evaluation.report.policy_results import entries_of
 from lemma.policies.training.run import digests_of
 from lemma.scene.objects.entity import ENTITIES
@@ -48,6 +49,8 @@ LEARNED = [
     pytest.param(weights["data"], id=f"{path.parent.name}, {path.stem}, {name}")
     for path in sorted(RESULTS.glob("*/seed-*.json"))
     for name, weights in read_json(path)["about"]["weights"].items()
+    # Those of rungs learn from other demonstrations.
+    if EXPERIMENTS[path.parent.name].suite != CONTROL_LEVEL
 ]
 
 

@@ -27,11 +27,12 @@ from lemma.evaluation.report import measures, tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     NOTHING,
+    PARTIAL,
     PolicyResults,
     entries_of,
     read_results,
 )
-from lemma.evaluation.report.sections import page, sections
+from lemma.evaluation.report.sections import RUNGS, page, protocol_words, sections
 from lemma.policies.spec import PolicySpec
 from lemma.tasks.suite import SUITE
 
@@ -356,6 +357,19 @@ def test_they_stand_in_a_table_of_their_own_with_what_was_not_run() -> None:
     titles = {row[0] for row in tables.by_task(entries, "high_level").rows}
     assert "ReachNet" in titles
     assert TITLE not in titles
+
+
+def test_their_stages_are_told_task_by_task_and_mixed_with_no_others() -> None:
+    made = result(3, experiment=NAME, tasks=TASKS)
+    entries = entries_of([result(5, tasks=SUITE), made], complete=True)
+    found = {one.title: one.table for one in sections(entries)}
+    rows = found[RUNGS].rows
+    assert [row[:2] for row in rows] == [(TITLE, task) for task in TASKS]
+    for name in ("Stages", "Coordination", "Where the points are lost"):
+        titles = {row[0] for row in found[name].rows}
+        assert "ReachNet" in titles
+        assert TITLE not in titles
+    assert PARTIAL not in protocol_words(entries)
 
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:

@@ -10,6 +10,7 @@ from lemma.evaluation.analysis.coordination import Coordination
 from lemma.evaluation.experiments.catalog import ABLATIONS
 from lemma.evaluation.report.policy_results import NOTHING, PolicyResults
 from lemma.tasks.language.template import ALL_KINDS
+from lemma.tasks.names import LADDER
 
 OfSeed = Callable[[Sequence[Coordination]], float | None]
 
@@ -97,16 +98,22 @@ def coordination(entries: Iterable[PolicyResults], kind: str) -> Table:
     return Table(("", *(one.name for one in METRICS)), tuple(rows))
 
 
-def reached(entries: Iterable[PolicyResults]) -> Table:
+def reached(entries: Iterable[PolicyResults], *, by_task: bool = False) -> Table:
     """Return the table of progress and of the verdicts on first moves.
 
-    It is over the strict episodes of all tasks; :mod:`lemma.env.stages` defines both.
+    It is over the strict episodes; :mod:`lemma.env.stages` defines both.
+
+    Args:
+        entries: Results by policy.
+        by_task: Whether each task has a row, instead of each kind of instructions.
     """
+    field = "task" if by_task else "kind"
     rows = []
     for entry in entries:
         every = [one for result in entry.results for one in result.reached]
-        for kind in ALL_KINDS if entry.suite != ABLATIONS else ():
-            found = [one for one in every if one.kind == kind]
+        values = LADDER if by_task else ALL_KINDS
+        for value in values if entry.suite != ABLATIONS else ():
+            found = [one for one in every if getattr(one, field) == value]
             if found:
                 episodes = sum(one.episodes for one in found)
                 shares = (
@@ -114,9 +121,10 @@ def reached(entries: Iterable[PolicyResults]) -> Table:
                     for name in _REACHED
                 )
                 cells = (f"{100 * share:.1f}" for share in shares)
-                rows.append((entry.title, kind.replace("_", "-"), *cells))
-    header = ("all tasks [%]", "instructions", *_REACHED.values())
-    return Table(header, tuple(rows), labels=2)
+                name = value if by_task else value.replace("_", "-")
+                rows.append((entry.title, name, *cells))
+    left = ("share [%]", "task") if by_task else ("all tasks [%]", "instructions")
+    return Table((*left, *_REACHED.values()), tuple(rows), labels=2)
 
 
 _REACHED = {

@@ -38,6 +38,7 @@ SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
 """Success as in the paper and with other sentences; controls, control level and
 ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
+RUNGS = "Control level, by stages"
 """Title of the table of policies at control level."""
 PAIRS = "Pairs of which one cannot be done"
 """Title of the table of refusals, which stands alone."""
@@ -123,6 +124,7 @@ def sections(
     sample = sample_words([one for one in entries if one.suite != CONTROL_LEVEL])
     samples = {
         CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
+        RUNGS: "",
         HOW: "",
     }
     return [
@@ -171,6 +173,9 @@ def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     return {
         "Other sentences": tables.language(entries),
         CONTROL: tables.control_level(entries),
+        RUNGS: measures.reached(
+            [one for one in entries if one.suite == CONTROL_LEVEL], by_task=True
+        ),
         "Perturbed starts": tables.starts(entries),
         "Ablations": tables.ablations(entries),
     }
@@ -178,6 +183,8 @@ def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
 
 def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     """Return tables of causes of failure, coordination and use of time."""
+    # Those at control level have other tasks.
+    entries = [one for one in entries if one.suite != CONTROL_LEVEL]
     return {
         "Stages": measures.reached(entries),
         "Where the points are lost": tables.losses(entries),
@@ -211,7 +218,9 @@ def protocol_words(entries: Sequence[PolicyResults], where: str = f"*{HOW}*") ->
         entries: Results by policy.
         where: Name of the table with the number of episodes of each result.
     """
-    results = [result for entry in entries for result in entry.results]
+    # Those at control level have tasks of their own, and a table that names them.
+    listed = [one for one in entries if one.suite != CONTROL_LEVEL and one.results]
+    results = [result for entry in listed or entries for result in entry.results]
     about = results[0].about if results else {}
     split = about.get("split", "test")
     benchmark = about.get("benchmark", BENCHMARK_VERSION)

@@ -72,9 +72,6 @@ class Column:
         return figures.of(**where) if figures else None
 
 
-_MEAN = Column("mean", rate=shown_mean, sums_up=True)
-
-
 def _lines(
     entry: PolicyResults, columns: Sequence[Column], *label: str, **where: Any
 ) -> Iterator[tuple[str, ...]]:
@@ -187,13 +184,18 @@ def control_level(entries: Iterable[PolicyResults]) -> Table:
     ]
     played = {task for _, experiment in chosen for task in experiment.tasks}
     tasks = [task for task in LADDER if task in played]
-    columns = [*(Column(task, {"task": task}) for task in tasks), _MEAN]
+    columns = [Column(task, {"task": task}) for task in tasks]
+    # No mean: policies of one rung and of all have no tasks in common to compare by.
     rows = (
-        next(_lines(entry, columns, words(kind, "-"), kind=kind))
+        (
+            *next(_lines(entry, columns, words(kind, "-"), kind=kind)),
+            str(entry.episodes() or NOT_RUN),
+        )
         for entry, experiment in chosen
         for kind in experiment.kinds
     )
-    return _table(("success [%]", "instructions"), columns, rows)
+    head = ("success [%]", "instructions")
+    return _table(head, (*columns, Column("episodes")), rows)
 
 
 def breakdown(entries: Iterable[PolicyResults], kind: str, by: str) -> Table:
