@@ -143,14 +143,14 @@ class Plan:
             long = f"--train-s {self.train_s:g}"
         # With the poses of hands as input a policy infers the goal from their motion,
         # and ignores the images.
-        hidden = "grippers" if self.observation == OBSERVATIONS[0] else "full"
+        usual = "grippers" if self.observation == OBSERVATIONS[0] else "full"
         lengths = {"chunk": self.chunk, "executed": self.executed}
         changed = "".join(f" --{name} {n}" for name, n in lengths.items() if n)
         return (
             f"python {TRAINER} train {self.film} {self.run(name, seed)} "
             f"--policy {name} --seed {seed} {long} "
             f"--batch {self.batch} --points {self.points} "
-            f"--state {self.state or hidden}{changed}"
+            f"--state {self.state or usual}{changed}"
         )
 
     def evaluation(self, run: Run, checkpoint: Path, split: str) -> str:

@@ -11,7 +11,7 @@ from lemma.cli.report import print_written
 from lemma.cli.workers import DEFAULT, WorkerOptions, progress_bar
 from lemma.core.errors import DatasetError
 from lemma.core.files import write_text
-from lemma.evaluation.experiments.catalog import CONTROL_LEVEL, Experiment, selected
+from lemma.evaluation.experiments.catalog import Experiment, selected
 from lemma.evaluation.experiments.reproduction import (
     MissingWeightsError,
     Reproduction,
@@ -21,6 +21,7 @@ from lemma.evaluation.experiments.reproduction import (
 from lemma.evaluation.protocol.rules import check_protocol, quote
 from lemma.evaluation.report.policy_results import entries_of, read_results
 from lemma.evaluation.report.sections import REPORT, page
+from lemma.policies.class_path import checkpoint_of
 
 _AT_INTERRUPT = (
     "{done} of {total} episodes of this experiment are saved. The same command "
@@ -45,8 +46,8 @@ def reproduce(
     Rows with missing weights are skipped, and listed at the end.
 
     Args:
-        name: paper, ours, controls, ablations; all, which leaves out the ablations;
-            or one experiment.
+        name: paper, ours, controls, control-level, ablations; all, which leaves out
+            the last two; or one experiment.
         out: Folder of all results: one folder per experiment, one file per training
             seed.
         weights: Folder with one training run for each name of weights; by default
@@ -98,7 +99,8 @@ def _check(
     failed = 0
     for experiment in experiments:
         name = experiment.name
-        if experiment.suite == CONTROL_LEVEL and find_spec("lerobot") is None:
+        checkpoint = checkpoint_of(experiment.policy.name)
+        if checkpoint is not None and find_spec("lerobot") is None:
             messages().print(f"Skipped {name}: lerobot is not installed here.")
             continue
         try:

@@ -127,7 +127,8 @@ class Experiment:
     tasks: tuple[str, ...] = SUITE
     """Names of its tasks."""
     training: str = ""
-    """The command that makes its weights, if it is not ``lemma train``."""
+    """The commands that make its weights, with ``&&`` between them, if they learn from
+    other data than those of :data:`TRAININGS`."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """The paper's figures for this row, by kind of instructions."""
 

@@ -29,6 +29,8 @@ from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import DEVICES, PolicySpec
 from lemma.policies.weights import published_weights
 
+AND = " && "
+"""Between commands of a line."""
 _FILE = "weights.safetensors"
 _CHECKPOINT = "checkpoints/last/pretrained_model/model.safetensors"
 """File of the policy's weights in a training run of LeRobot."""
@@ -120,7 +122,7 @@ class Reproduction:
             return replace(policy, name=policy.name.removesuffix(checkpoint) + path)
         names = list(policy.parts)
         for part in learned_parts(policy.name):
-            how = experiment.training or " && ".join(
+            how = experiment.training or AND.join(
                 TRAININGS[part].commands(runs, SEEDS[0])
             )
             names[names.index(part)] = self._weights(part, _FILE, how)
@@ -176,9 +178,10 @@ def commands(experiments: list[Experiment]) -> list[str]:
             elif seed == SEEDS[0]:
                 lines.append(f"lemma reproduce {one.name}")
     for one in elsewhere:
+        for part in learned_parts(one.policy.name):
+            lines += _as_it_was(part)
         # One command may make the weights of several experiments.
-        if one.training not in lines:
-            lines.append(one.training)
+        lines += [each for each in one.training.split(AND) if each not in lines]
         lines.append(f"lemma reproduce {one.name} --weights {one.runs(SEEDS[0])}")
     return lines
 

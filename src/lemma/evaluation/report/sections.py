@@ -39,6 +39,7 @@ SUCCESS, CONTROLS, DIAGNOSES, ROWS = TOPICS = (
 ablations; causes of failure; how rows are made."""
 CONTROL = "Control level"
 RUNGS = "Control level, by stages"
+LOST = "Control level, causes of failure"
 """Title of the table of policies at control level."""
 PAIRS = "Pairs of which one cannot be done"
 """Title of the table of refusals, which stands alone."""
@@ -125,6 +126,7 @@ def sections(
     samples = {
         CONTROL: sample_words([one for one in entries if one.suite == CONTROL_LEVEL]),
         RUNGS: "",
+        LOST: "",
         HOW: "",
     }
     return [
@@ -170,12 +172,12 @@ def _of_pairs(entries: Sequence[PolicyResults]) -> Table:
 
 def _of_controls(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     """Return tables of controls, control level and ablations."""
+    rungs = [one for one in entries if one.suite == CONTROL_LEVEL]
     return {
         "Other sentences": tables.language(entries),
         CONTROL: tables.control_level(entries),
-        RUNGS: measures.reached(
-            [one for one in entries if one.suite == CONTROL_LEVEL], by_task=True
-        ),
+        RUNGS: measures.reached(rungs, by_task=True),
+        LOST: tables.losses(rungs),
         "Perturbed starts": tables.starts(entries),
         "Ablations": tables.ablations(entries),
     }
