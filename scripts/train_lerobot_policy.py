@@ -49,13 +49,15 @@ POLICIES: dict[str, dict[str, Any]] = {
         "down_dims": (64, 128, 256),
         "use_group_norm": True,
         "use_separate_rgb_encoder_per_camera": False,
+        "prediction_type": "sample",
         "noise_scheduler_type": "DDIM",
         "num_inference_steps": 10,
     },
 }
 """Changes to LeRobot's defaults. Demonstrations are deterministic, so ACT needs no
-latent variable. Chunks may pass the end of an episode: its last waypoint stays the
-target."""
+latent variable. Diffusion Policy predicts actions instead of noise: after the same
+38,000 samples of privileged state, waypoints were 12 cm off instead of 67 cm. Chunks
+may pass the end of an episode: its last waypoint stays the target."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
