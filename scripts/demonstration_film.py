@@ -25,6 +25,7 @@ from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, Shard
 from lemma.dataset.lerobot.frames import Style, frames
 from lemma.dataset.lerobot.sources import check_source, read_records
+from lemma.dataset.lerobot.statistics import SMALLEST_STD
 from lemma.dataset.rendered.render import RenderConfig
 from side_by_side import visible_gpus
 
@@ -305,9 +306,10 @@ class Film:
 
 
 def _statistics(rows: torch.Tensor, axes: Any) -> dict[str, torch.Tensor]:
+    mean, least, most = rows.mean(axes), rows.amin(axes), rows.amax(axes)
     return {
-        "mean": rows.mean(axes),
-        "std": rows.std(axes),
-        "min": rows.amin(axes),
-        "max": rows.amax(axes),
+        "mean": mean,
+        "std": rows.std(axes).clamp(min=SMALLEST_STD),
+        "min": torch.minimum(least, mean - SMALLEST_STD),
+        "max": torch.maximum(most, mean + SMALLEST_STD),
     }

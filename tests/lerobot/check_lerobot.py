@@ -22,6 +22,7 @@ from lemma.cli.main import main
 from lemma.core.workers.pool import Serial
 from lemma.dataset.lerobot.export import LeRobotConfig, write_dataset, write_shard
 from lemma.dataset.lerobot.frames import Style
+from lemma.dataset.lerobot.statistics import SMALLEST_STD
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.capture import label
 from lemma.dataset.rendered.render import RenderConfig
@@ -227,7 +228,10 @@ def test_statistics_are_those_of_the_frames() -> None:
     assert mean.ravel() == pytest.approx(shown.mean((0, 1, 2)), abs=0.01)
     states = np.concatenate([seen(n)["state"] for n in range(4)])
     assert stats["observation.state"]["mean"] == pytest.approx(states.mean(0), abs=1e-4)
-    assert stats["observation.state"]["max"] == pytest.approx(states.max(0), abs=1e-4)
+    widest = np.maximum(states.max(0), states.mean(0) + SMALLEST_STD)
+    assert stats["observation.state"]["max"] == pytest.approx(widest, abs=1e-4)
+    assert stats["observation.state"]["std"].min() >= SMALLEST_STD
+    assert stats["action"]["std"].min() >= SMALLEST_STD
 
 
 def test_what_was_led_by_hand_becomes_a_data_set(tmp_path: Path) -> None:

@@ -227,6 +227,19 @@ def test_images_are_normalized_as_in_training() -> None:
 
 
 @pytest.mark.parametrize("policy", POLICIES)
+def test_numbers_that_never_change_may_do_so_in_use(policy: str) -> None:
+    seen = Film.load(filmed(SENTENCE), "cpu")
+    state, action = "observation.state", "action"
+    for rows in (seen.vectors[state], seen.vectors[action]):
+        rows[:, 10:] = rows[0, 10:]
+    _, before, after = make_policy(policy, seen, "cpu")
+    moved = {state: seen.vectors[state] + 1e-5, action: seen.vectors[action]}
+    shown = before(moved)
+    assert shown[state][:, 10:].abs().max() < 0.01
+    assert torch.allclose(after(shown[action]), seen.vectors[action], atol=1e-5)
+
+
+@pytest.mark.parametrize("policy", POLICIES)
 def test_who_is_told_of_grippers_alone_does_not_see_poses(policy: str) -> None:
     seen = Film.load(filmed(SENTENCE), "cpu")
     state = "observation.state"

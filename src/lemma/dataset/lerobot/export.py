@@ -6,9 +6,6 @@ interrupted run loses only unfinished shards; the next run continues.
 """
 
 import importlib
-import logging
-import math
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -29,6 +26,7 @@ from lemma.core.files import (
 from lemma.core.workers.pool import Engine
 from lemma.core.workers.resumable import NEW_FOLDER, PARTS, Part, begin, do_missing
 from lemma.dataset.files import CARD, card
+from lemma.dataset.lerobot.aggregate import REPO_ID, aggregate_in_groups, silence
 from lemma.dataset.lerobot.frames import (
     Style,
     describe_episode,
@@ -42,6 +40,7 @@ from lemma.dataset.lerobot.sources import (
     name_in_source,
     read_records,
 )
+from lemma.dataset.lerobot.statistics import widened
 from lemma.dataset.recipe.files import versions
 from lemma.dataset.rendered.render import RenderConfig, RenderSummary
 from lemma.tasks.instance import BENCHMARK_VERSION, SPLITS
@@ -49,12 +48,7 @@ from lemma.tasks.names import task_rank
 
 EXTRAS = "extras"
 """Folder for data that the format cannot store."""
-REPO_ID = "lemma/export"
-"""Name of the data sets, which lerobot requires."""
-_GROUP = ".group"
-_FEW = 4
-"""Number of data sets up to which no groups are made."""
-INFO = "meta/info.json"
+INFO, STATS = "meta/info.json", "meta/stats.json"
 EPISODES = f"{EXTRAS}/episodes.json"
 """File with data about every episode that the format cannot store."""
 _EXPORT = f"{EXTRAS}/export.json"
@@ -314,6 +308,7 @@ def _assemble(
     info = read_json(whole / INFO)
     info["splits"] = dict(_splits(episodes))
     write_json(whole / INFO, info)
+    write_json(whole / STATS, widened(read_json(whole / STATS)))
     write_json(
         order.out / EPISODES,
         {"episodes": [{"episode_index": n, **e} for n, e in enumerate(episodes)]},
@@ -344,56 +339,3 @@ def _splits(episodes: Sequence[dict[str, Any]]) -> Iterator[tuple[str, str]]:
     for name in dict.fromkeys(names):
         first = names.index(name)
         yield name, f"{first}:{first + names.count(name)}"
-
-
-def aggregate_in_groups(folders: Sequence[Path], whole: Path, engine: Engine) -> None:
-    """Aggregate LeRobotDatasets into one in parallel, in their order.
-
-    Args:
-        folders: Folders of the data sets; temporary groups are written next to them.
-        whole: Output folder; an existing one is replaced.
-        engine: Workers that run the jobs.
-    """
-    size = max(_FEW, math.isqrt(len(folders)))
-    if len(folders) > size:
-        groups = [
-            folders[first : first + size] for first in range(0, len(folders), size)
-        ]
-        folders = [group[0].with_suffix(_GROUP) for group in groups]
-        for _ in engine.run(aggregate, [*zip(groups, folders, strict=True)]):
-            pass
-    aggregate(folders, whole)
-
-
-def aggregate(folders: Sequence[Path], whole: Path) -> None:
-    """Aggregate LeRobotDatasets into one, in their order.
-
-    Args:
-        folders: Folders of the data sets.
-        whole: Output folder; an existing one is replaced.
-    """
-    silence()
-    from lerobot.datasets.aggregate import aggregate_datasets  # noqa: PLC0415
-
-    rmtree(whole, ignore_errors=True)
-    aggregate_datasets(
-        [REPO_ID] * len(folders),
-        REPO_ID,
-        roots=[*folders],
-        aggr_root=whole,
-        # Concatenated videos would be too long to find frames by time. Concatenated
-        # tables would be rewritten for every shard.
-        concatenate_videos=False,
-        concatenate_data=False,
-    )
-
-
-def silence() -> None:
-    """Suppress output of encoders and tables, which would disturb the progress bar."""
-    os.environ.setdefault("TQDM_DISABLE", "1")
-    logging.getLogger("lerobot").setLevel(logging.ERROR)
-    import av  # noqa: PLC0415
-    import datasets  # noqa: PLC0415
-
-    av.logging.set_libav_level(av.logging.ERROR)
-    datasets.disable_progress_bars()
