@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from lemma.core.workers.pool import ProcessPool
-from lemma.dataset.lerobot.export import aggregate_in_groups, silence
+from lemma.dataset.lerobot.aggregate import aggregate_in_groups, silence
 from lerobot_train_unpacked import read_unpacked, unpack
 
 CHUNK = 20
