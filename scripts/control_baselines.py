@@ -7,7 +7,8 @@ In an environment with lerobot, such as the one that ``make test-lerobot`` makes
     python scripts/control_baselines.py --observation privileged
     python scripts/control_baselines.py --suite ladder --label reach \
         --tasks reach_fixed,reach_varied,reach --cameras robot_0_reach,robot_0_wrist \
-        --size 224x224 --chunk 16 --executed 5 --state full --train-s 600
+        --size 224x224 --chunk 16 --executed 5 --state full --displaced 0.5 \
+        --train-s 600
 
 It runs the commands that it prints. First it generates demonstrations and renders their
 camera images as arrays in memory. Then it runs one training for each policy and seed,
@@ -78,6 +79,8 @@ class Plan:
     """Names of cameras, separated by commas; those of the robots if empty."""
     size: str = "160x120"
     fps: int = 5
+    displaced: float = 0.0
+    """Share of frames for training in which the busy arm is moved off its way."""
     steps: int = 20_000
     train_s: float = 0.0
     """Duration of a training [s], instead of a number of steps; 0 to use steps."""
@@ -127,12 +130,14 @@ class Plan:
         episodes = f" --episodes {self.episodes}" if self.episodes else ""
         state = "sentence" if self.observation == OBSERVATIONS[0] else self.observation
         seen = f"--cameras {self.cameras} " if self.cameras else ""
+        moved = f"--displaced {self.displaced:g} " if self.displaced else ""
         return [
             f"lemma generate --suite {self.suite} --tasks {self.tasks} "
             f"--split train{episodes} "
             f"--out {self.recipe} --workers {self.workers}",
             f"python {TRAINER} film {self.recipe} {self.film} --tasks {self.tasks} "
-            f"--size {self.size} {seen}--fps {self.fps} --environment-state {state} "
+            f"--size {self.size} {seen}{moved}--fps {self.fps} "
+            f"--environment-state {state} "
             f"--workers {self.workers}",
         ]
 

@@ -8,12 +8,13 @@ on the device of the training, which saves reading, decoding and copying.
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -23,10 +24,12 @@ from lemma.core.files import sha256_of
 from lemma.core.workers.pool import ProcessPool
 from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, Shard
-from lemma.dataset.lerobot.frames import Style, frames
+from lemma.dataset.lerobot.frames import Style, frames, robots_of
 from lemma.dataset.lerobot.sources import check_source, read_records
 from lemma.dataset.lerobot.statistics import SMALLEST_STD
+from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.render import RenderConfig
+from lemma.dataset.rendered.steps import NO_SUBTASK, DenseStep
 from side_by_side import visible_gpus
 
 ABOUT, LENGTHS = "about.json", "lengths"
@@ -49,6 +52,12 @@ UNSEEN = 1e6
 """Normalization range that hides a number from a policy."""
 STATISTICS_OF = 5_000
 """Number of images for mean and standard deviation."""
+DISPLACEMENT_RAD = 0.1
+"""Standard deviation by which a displaced arm's joints are turned [rad]."""
+OPEN_M = 0.09
+"""A gripper that is and stays this open holds nothing [m]."""
+LOWEST_M = 0.05
+"""Lowest height of a displaced tool over the table [m]."""
 DRAWS_ON = "MUJOCO_EGL_DEVICE_ID"
 """Environment variable with the number of MuJoCo's GPU."""
 READERS = 8
@@ -61,7 +70,11 @@ Batch = dict[str, Any]
 
 
 def film_shard(
-    shard: Shard, style: Style, folder: Path, gpus: Sequence[str] = ()
+    shard: Shard,
+    style: Style,
+    folder: Path,
+    gpus: Sequence[str] = (),
+    share: float = 0.0,
 ) -> int:
     """Write the episodes of a shard as arrays; return their number of frames.
 
@@ -70,6 +83,7 @@ def film_shard(
         style: Options of the rendering.
         folder: Folder of the output.
         gpus: Numbers of the GPUs for rendering; each process uses one.
+        share: Share of frames with a displaced arm; see :func:`displaced`.
     """
     if gpus:
         # MuJoCo reads it at the first rendering of this process.
@@ -78,7 +92,8 @@ def film_shard(
     if not target.exists():
         episodes = []
         for record in read_records(shard.path, shard.group, shard.rows):
-            rows = list(frames(record, style))
+            change = displaced(record, share) if share else None
+            rows = list(frames(record, style, change=change))
             names = [n for n in rows[0] if n in VECTORS or n.startswith(OBS_IMAGES)]
             episodes.append({n: np.stack([row[n] for row in rows]) for n in names})
         columns = {
@@ -94,6 +109,46 @@ def film_shard(
         return int(found[LENGTHS].sum())
 
 
+def displaced(record: EpisodeRecord, share: float) -> Callable[[DenseStep], DenseStep]:
+    """Return a function that moves the busy arm away from its way in some frames.
+
+    The waypoint stays the right action wherever the arm is. Without such frames a
+    policy has seen arms only on their way, and drifts away once one has left it. Arms
+    that may hold something stay. See Laskey et al., "DART: Noise Injection for Robust
+    Imitation Learning", 2017.
+
+    Args:
+        record: The episode.
+        share: Share of the frames, from 0 to 1.
+    """
+    rng = np.random.default_rng(int(record.instance_sha256[:16], 16))
+    names = robots_of(record)
+
+    def change(step: DenseStep) -> DenseStep:
+        if step.subtask == NO_SUBTASK or rng.random() >= share:
+            return step
+        number = names.index(record.subtasks[step.subtask].robot)
+        if min(step.opening_m[number], step.action[number, -1]) < OPEN_M:
+            return step
+        scene = step.scene
+        robot = scene.robots[number]
+        before = scene.data.qpos[robot.qpos].copy()
+        scene.data.qpos[robot.qpos] += rng.normal(0.0, DISPLACEMENT_RAD, len(before))
+        mujoco.mj_kinematics(scene.model, scene.data)
+        site = int(scene.tcp_sites[number])
+        if scene.data.site_xpos[site, 2] < LOWEST_M:
+            scene.data.qpos[robot.qpos] = before
+            mujoco.mj_kinematics(scene.model, scene.data)
+            return step
+        joints, poses = step.joints.copy(), step.tcp_poses.copy()
+        joints[number] = scene.data.qpos[robot.qpos]
+        poses[number, :3, :3] = scene.data.site_xmat[site].reshape(3, 3)
+        poses[number, :3, 3] = scene.data.site_xpos[site]
+        return replace(step, joints=joints, tcp_poses=poses)
+
+    return change
+
+
 def film(
     recipe: Path,
     folder: Path,
@@ -101,6 +156,7 @@ def film(
     workers: int,
     split: str = "train",
     tasks: tuple[str, ...] = (),
+    share: float = 0.0,
 ) -> None:
     """Write the episodes of a split as arrays; existing ones are kept.
 
@@ -111,6 +167,7 @@ def film(
         workers: Number of processes, each with one of the GPUs, if any.
         split: Split of the recipe.
         tasks: Names of tasks; all of the recipe if empty.
+        share: Share of frames with a displaced arm; see :func:`displaced`.
 
     Raises:
         DatasetError: The recipe is no training data, or cannot be executed here.
@@ -121,13 +178,13 @@ def film(
     shards = LeRobotConfig(source=source, style=style).shards()
     check_source(recipe, list(dict.fromkeys(one.path for one in shards)), style)
     made_of = {"recipe": sha256_of(recipe / MANIFEST), "split": split, "tasks": tasks}
-    description = json.dumps({**asdict(style), **made_of})
+    description = json.dumps({**asdict(style), **made_of, "displaced": share})
     about = folder / ABOUT
     if about.exists() and about.read_text() != description:
         raise SystemExit(f"{folder} holds another film. Choose another folder.")
     about.write_text(description)
     gpus = [name for name in visible_gpus() if name.isdigit()]
-    jobs = [(shard, style, folder, gpus) for shard in shards]
+    jobs = [(shard, style, folder, gpus, share) for shard in shards]
     begin, count = time.monotonic(), 0
     for done in ProcessPool(workers).run(film_shard, jobs):
         count += done

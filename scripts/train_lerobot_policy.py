@@ -290,6 +290,9 @@ def main(words: Sequence[str] | None = None) -> None:
         "--environment-state", choices=(SENTENCE, PRIVILEGED), default=SENTENCE
     )
     filming.add_argument("--split", default="train")
+    filming.add_argument(
+        "--displaced", type=float, default=0.0, help="share of frames: arms off the way"
+    )
     filming.add_argument("--tasks", default="", help="the recipe's if none")
     filming.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     training = verbs.add_parser("train")
@@ -326,7 +329,8 @@ def main(words: Sequence[str] | None = None) -> None:
             control=WAYPOINT,
         )
         tasks = tuple(filter(None, asked.tasks.split(",")))
-        film(asked.recipe, asked.film, style, asked.workers, asked.split, tasks)
+        more = (asked.split, tasks, asked.displaced)
+        film(asked.recipe, asked.film, style, asked.workers, *more)
     else:
         train(asked)
 

@@ -13,7 +13,7 @@ from check_training import plugin
 from small_recipe import TASKS, recipe
 
 import lemma
-from demonstration_film import AROUND, FIRST, FOCUS, Film, film
+from demonstration_film import AROUND, FIRST, FOCUS, OPEN_M, Film, film
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.files import read_group
 from lemma.env.learning.motor_state import WAYPOINT
@@ -68,6 +68,29 @@ def test_frames_are_those_of_an_export(told: str) -> None:
         first = end
     assert len(seen.last) == first
     assert bool(seen.images) == (told == SENTENCE)
+
+
+def test_displaced_arms_are_seen_elsewhere_with_the_same_targets() -> None:
+    folder = work() / "displaced"
+    film(recipe(), folder, style(SENTENCE), 1, share=1.0)
+    plain, moved = (Film.load(f, "cpu") for f in (filmed(SENTENCE), folder))
+    assert torch.equal(plain.vectors["action"], moved.vectors["action"])
+    states = [one.vectors["observation.state"] for one in (plain, moved)]
+    before, after = (rows.reshape(len(rows), 2, 10) for rows in states)
+    assert torch.equal(before[..., 9], after[..., 9])
+    off_m = (after - before)[..., :3].norm(dim=2)
+    away = off_m > 0.0
+    # One arm is busy at a time, and never moved while its gripper is not open.
+    assert (away.sum(1) <= 1).all()
+    assert not away[before[..., 9] < OPEN_M].any()
+    assert 0.2 < away.any(1).float().mean() < 0.9
+    assert 0.02 < off_m[away].median() < 0.2
+    turned = after[..., 3:9].reshape(-1, 2, 2, 3)
+    assert torch.allclose(turned.norm(dim=3), torch.ones(()), atol=1e-4)
+    for name, images in moved.images.items():
+        if "0" in name:
+            seen = (images != plain.images[name]).flatten(1).any(1)
+            assert seen[away[:, 0]].all()
 
 
 def test_what_was_filmed_otherwise_is_not_taken_for_it() -> None:

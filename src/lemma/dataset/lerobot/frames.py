@@ -190,7 +190,10 @@ def _feature(
 
 
 def frames(
-    record: EpisodeRecord, style: Style, kind: str = "high_level"
+    record: EpisodeRecord,
+    style: Style,
+    kind: str = "high_level",
+    change: Callable[[DenseStep], DenseStep] | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Yield the frames of an episode, each with its ``task``.
 
@@ -198,6 +201,8 @@ def frames(
         record: The episode; its sub-tasks are executed again.
         style: Options of the frames.
         kind: Kind of the instruction that becomes the task.
+        change: Changes the measured state of each step and its scene before it is
+            seen; later steps are not affected.
 
     Raises:
         DatasetError: The replayed motion differs from the recorded one.
@@ -207,7 +212,10 @@ def frames(
     task = getattr(record, kind)
     said = {f"annotation.instruction.{one}": getattr(record, one) for one in KINDS}
     tell = _teller(record, style, task)
-    for step, pictures in _filmed(record, style, cameras):
+    steps = iterate_steps(record, style.fps)
+    if change is not None:
+        steps = map(change, steps)
+    for step, pictures in _filmed(steps, style, cameras):
         yield {
             **_numbers(record, step, style.control),
             **pictures,
@@ -218,14 +226,13 @@ def frames(
 
 
 def _filmed(
-    record: EpisodeRecord, style: Style, cameras: tuple[str, ...]
+    steps: Iterator[DenseStep], style: Style, cameras: tuple[str, ...]
 ) -> Iterator[tuple[DenseStep, dict[str, Any]]]:
-    """Yield the steps of an episode, each with its images by feature.
+    """Yield steps of an episode, each with its images by feature.
 
     A batch of states is rendered at a time, so memory does not grow with the length of
     an episode. The ``scene`` of a yielded step shows a later state.
     """
-    steps = iterate_steps(record, style.fps)
     if not cameras:
         yield from ((step, {}) for step in steps)
         return
