@@ -137,8 +137,7 @@ class Plan:
             f"--out {self.recipe} --workers {self.workers}",
             f"python {TRAINER} film {self.recipe} {self.film} --tasks {self.tasks} "
             f"--size {self.size} {seen}{moved}--fps {self.fps} "
-            f"--environment-state {state} "
-            f"--workers {self.workers}",
+            f"--environment-state {state} --workers {self.workers}",
         ]
 
     def training(self, name: str, seed: int) -> str:

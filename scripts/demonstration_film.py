@@ -26,7 +26,7 @@ from lemma.dataset.files import MANIFEST
 from lemma.dataset.lerobot.export import LeRobotConfig, Shard
 from lemma.dataset.lerobot.frames import Style, frames, robots_of
 from lemma.dataset.lerobot.sources import check_source, read_records
-from lemma.dataset.lerobot.statistics import SMALLEST_STD
+from lemma.dataset.lerobot.statistics import widened
 from lemma.dataset.recipe.schema import EpisodeRecord
 from lemma.dataset.rendered.render import RenderConfig
 from lemma.dataset.rendered.steps import NO_SUBTASK, DenseStep
@@ -114,8 +114,9 @@ def displaced(record: EpisodeRecord, share: float) -> Callable[[DenseStep], Dens
 
     The waypoint stays the right action wherever the arm is. Without such frames a
     policy has seen arms only on their way, and drifts away once one has left it. Arms
-    that may hold something stay. See Laskey et al., "DART: Noise Injection for Robust
-    Imitation Learning", 2017.
+    that may hold something stay. Nothing is simulated: a displaced arm may reach into
+    things, except with its tool into the table. See Laskey et al., "DART: Noise
+    Injection for Robust Imitation Learning", 2017.
 
     Args:
         record: The episode.
@@ -254,9 +255,14 @@ class Film:
             poses: Whether the policy's state has the poses of its hands. Otherwise it
                 has only their openings, and the poses must come from the images.
         """
-        found = {}
-        for name, rows in self.vectors.items():
-            found[name] = _statistics(rows, 0)
+        plain = {
+            name: {key: value.tolist() for key, value in _statistics(rows, 0).items()}
+            for name, rows in self.vectors.items()
+        }
+        found = {
+            name: {key: torch.tensor(value) for key, value in feature.items()}
+            for name, feature in widened(plain).items()
+        }
         if not poses:
             state = found[OBS_STATE]
             hidden = torch.ones_like(state["mean"], dtype=torch.bool)
@@ -363,10 +369,9 @@ class Film:
 
 
 def _statistics(rows: torch.Tensor, axes: Any) -> dict[str, torch.Tensor]:
-    mean, least, most = rows.mean(axes), rows.amin(axes), rows.amax(axes)
     return {
-        "mean": mean,
-        "std": rows.std(axes).clamp(min=SMALLEST_STD),
-        "min": torch.minimum(least, mean - SMALLEST_STD),
-        "max": torch.maximum(most, mean + SMALLEST_STD),
+        "mean": rows.mean(axes),
+        "std": rows.std(axes),
+        "min": rows.amin(axes),
+        "max": rows.amax(axes),
     }

@@ -55,9 +55,9 @@ POLICIES: dict[str, dict[str, Any]] = {
     },
 }
 """Changes to LeRobot's defaults. Demonstrations are deterministic, so ACT needs no
-latent variable. Diffusion Policy predicts actions instead of noise: after the same
-38,000 samples of privileged state, waypoints were 12 cm off instead of 67 cm. Chunks
-may pass the end of an episode: its last waypoint stays the target."""
+latent variable. Diffusion Policy predicts actions instead of noise, which it learns
+from fewer samples. Chunks may pass the end of an episode: its last waypoint stays the
+target."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
@@ -291,7 +291,10 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     filming.add_argument("--split", default="train")
     filming.add_argument(
-        "--displaced", type=float, default=0.0, help="share of frames: arms off the way"
+        "--displaced",
+        type=float,
+        default=0.0,
+        help="share of the frames in which the busy arm is moved off its way",
     )
     filming.add_argument("--tasks", default="", help="the recipe's if none")
     filming.add_argument("--workers", type=int, default=os.cpu_count() or 1)

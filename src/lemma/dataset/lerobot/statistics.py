@@ -1,8 +1,8 @@
-"""Statistics by which policies of LeRobot normalize what never changes.
+"""Statistics by which policies of LeRobot normalize states and actions.
 
 LeRobot divides by the standard deviation plus 1e-8. In demonstrations an arm without
-a task never moves; in use it does, by up to 50 micrometres. Divided by 1e-8 these are
-thousands, far from all inputs of the training.
+a task never moves; in use it does, by micrometres. Divided by 1e-8 these are hundreds,
+far from all inputs of the training.
 """
 
 from collections.abc import Mapping
