@@ -112,7 +112,7 @@ def film_shard(
 def displaced(record: EpisodeRecord, share: float) -> Callable[[DenseStep], DenseStep]:
     """Return a function that moves the busy arm away from its way in some frames.
 
-    The waypoint stays the right action wherever the arm is. Without such frames a
+    The waypoint leads back from beside the way, too. Without such frames a
     policy has seen arms only on their way, and drifts away once one has left it. Arms
     that may hold something stay. Nothing is simulated: a displaced arm may reach into
     things, except with its tool into the table. See Laskey et al., "DART: Noise
