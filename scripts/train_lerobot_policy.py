@@ -319,6 +319,8 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     asked = parser.parse_args(words)
     if asked.verb == "film":
+        if not 0.0 <= asked.displaced <= 1.0:
+            parser.error("--displaced is a share, from 0 to 1.")
         width, height = map(int, asked.size.split("x"))
         images = asked.environment_state == SENTENCE
         style = Style(

@@ -93,6 +93,15 @@ def test_displaced_arms_are_seen_elsewhere_with_the_same_targets() -> None:
             assert seen[away[:, 0]].all()
 
 
+@pytest.mark.parametrize("share", ["-0.1", "2", "nan"])
+def test_a_share_is_no_more_than_all(
+    share: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["film", "nowhere", "nothing", f"--displaced={share}"])
+    assert "from 0 to 1" in capsys.readouterr().err
+
+
 def test_what_was_filmed_otherwise_is_not_taken_for_it() -> None:
     with pytest.raises(SystemExit, match="another film"):
         film(recipe(), filmed(PRIVILEGED), style(SENTENCE), 1)
