@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -262,11 +261,9 @@ def _measure_training(model: str, data: Path) -> Figures:
     config = TrainingConfig(model, data, data / "unused")
     with messages().status(f"Training {model} for some steps ..."):
         found = measure_training(config)
-        if math.isnan(found["gpu_busy"]):
-            return {name: found[name] for name in ("samples_per_s", "frames_per_s")}
-        plain = measure_training(replace(config, compile=False, capture=False))
-    names = ("samples_per_s", "gpu_busy")
-    return found | {f"eager_{name}": plain[name] for name in names}
+    if math.isnan(found["gpu_busy"]):
+        return {name: found[name] for name in ("samples_per_s", "frames_per_s")}
+    return found
 
 
 def _bench_together(names: tuple[str, ...], episodes: int, as_json: bool) -> int:

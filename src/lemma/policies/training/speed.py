@@ -9,11 +9,17 @@ from dataclasses import replace
 
 import torch
 
+from lemma.policies.models.base import Model
 from lemma.policies.training.config import TrainingConfig
-from lemma.policies.training.distributed import processes
+from lemma.policies.training.distributed import ProcessGroup, processes
 from lemma.policies.training.loader import BatchLoader, Sampler
 from lemma.policies.training.logging import gpu_memory_gb
-from lemma.policies.training.run import first_model, read_frames, training_units
+from lemma.policies.training.run import (
+    Data,
+    first_model,
+    read_frames,
+    training_units,
+)
 from lemma.policies.training.step import Trainer
 
 WARM_UP, STEPS = 8, 60
@@ -35,13 +41,12 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
     Returns:
         ``samples_per_s``; ``frames_per_s``; ``gpu_busy``, the share of the time in
         which a kernel ran, NaN without a GPU; ``gpu_memory_gb``; and ``start_s``, the
-        time until the first measured step.
+        time until the first measured step. With a GPU also ``eager_samples_per_s`` and
+        ``eager_gpu_busy``, of steps that are neither compiled nor captured.
     """
     with processes(config.device) as team:
         begun = time.perf_counter()
-        first, steps = ON_CPU
         if team.device.type == "cuda":
-            first, steps = WARM_UP, STEPS
             torch.backends.cudnn.benchmark = True
             torch.set_float32_matmul_precision("high")
         else:
@@ -49,36 +54,51 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
         config = config.resolved(1)
         model = first_model(config)
         data = read_frames(config, team, model.entities, mixed=model.of_any_team)
-        trainer = Trainer(model, config, team)
-        units = training_units(model, data.train, config)
-        order = Sampler(len(units), config.batch_size or 1, config.seed)
-        feed = BatchLoader(
-            data.train,
-            units,
-            order,
-            config,
-            team.device,
-            text_tensors=trainer.model.text_tensors,
-        )
-        frames = 0
-        with feed.ahead(0, first + steps) as batches:
-            for _ in range(first):
-                trainer.train(next(batches), 0.0)
+        found = _measure_steps(config, model, data, team)
+        found["start_s"] = found.pop("first_step") - begun
+        if team.device.type == "cuda":
+            eager = replace(config, compile=False, capture=False)
+            plain = _measure_steps(eager, first_model(eager), data, team)
+            for name in ("samples_per_s", "gpu_busy"):
+                found[f"eager_{name}"] = plain[name]
+        return found
+
+
+def _measure_steps(
+    config: TrainingConfig, model: Model, data: Data, team: ProcessGroup
+) -> dict[str, float]:
+    """Return the figures, and when the first measured step began, as ``first_step``."""
+    first, steps = (WARM_UP, STEPS) if team.device.type == "cuda" else ON_CPU
+    units = training_units(model, data.train, config)
+    order = Sampler(len(units), config.batch_size or 1, config.seed)
+    trainer = Trainer(model, config, team)
+    feed = BatchLoader(
+        data.train,
+        units,
+        order,
+        config,
+        team.device,
+        text_tensors=trainer.model.text_tensors,
+    )
+    frames = 0
+    with feed.ahead(0, first + steps) as batches:
+        for _ in range(first):
+            trainer.train(next(batches), 0.0)
+        _wait(team.device)
+        start = time.perf_counter()
+        with _busy(team.device) as busy:
+            for batch in batches:
+                trainer.train(batch, 0.0)
+                frames += len(batch)
             _wait(team.device)
-            start = time.perf_counter()
-            with _busy(team.device) as busy:
-                for batch in batches:
-                    trainer.train(batch, 0.0)
-                    frames += len(batch)
-                _wait(team.device)
-            seconds = time.perf_counter() - start
-        return {
-            "samples_per_s": steps * (config.batch_size or 1) / seconds,
-            "frames_per_s": frames / seconds,
-            "gpu_busy": sum(busy) / len(busy) / 100.0 if busy else float("nan"),
-            "gpu_memory_gb": gpu_memory_gb(),
-            "start_s": start - begun,
-        }
+        seconds = time.perf_counter() - start
+    return {
+        "samples_per_s": steps * (config.batch_size or 1) / seconds,
+        "frames_per_s": frames / seconds,
+        "gpu_busy": sum(busy) / len(busy) / 100.0 if busy else float("nan"),
+        "gpu_memory_gb": gpu_memory_gb(),
+        "first_step": start,
+    }
 
 
 def _wait(device: torch.device) -> None:
