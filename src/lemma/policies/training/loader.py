@@ -1,4 +1,4 @@
-"""Batches for training, prepared in another thread.
+"""Batches for training, prepared in other threads.
 
 The input of a step is a function of the seed and of the step's number, so a continued
 run equals an uninterrupted one. Instructions are newly drawn for each batch, or
@@ -32,8 +32,10 @@ from lemma.policies.training.config import TrainingConfig
 from lemma.tasks.language.bank import robot_phrases_in_order, say_rule
 from lemma.tasks.teams.rule import rule_from
 
-AHEAD = 3
+AHEAD = 5
 """Number of batches to prepare ahead."""
+THREADS = 3
+"""Threads that prepare them: some copy images while another makes sentences."""
 
 Made = Future[tuple[Batch, Any]]
 
@@ -160,27 +162,27 @@ class BatchLoader:
 
     @contextmanager
     def ahead(self, first: int, last: int) -> Iterator[Iterator[Batch]]:
-        """Prepare the batches of some steps in another thread.
+        """Prepare the batches of some steps in other threads.
 
         Args:
             first: Step of the first batch.
             last: Step after the last.
 
         Yields:
-            An iterator over the batches, in order; it raises errors of the thread.
+            An iterator over the batches, in order; it raises errors of the threads.
         """
         own = None
         if self._device.type == "cuda":
             own = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
             # Frames may still be in a copy to the device.
             own.wait_stream(torch.cuda.default_stream(self._device))
-        with ThreadPoolExecutor(1) as thread:
+        with ThreadPoolExecutor(THREADS) as threads:
             steps = iter(range(first, last))
-            jobs = (thread.submit(self._made, step, own) for step in steps)
+            jobs = (threads.submit(self._made, step, own) for step in steps)
             try:
                 yield self._batches(jobs, deque(islice(jobs, AHEAD)))
             finally:
-                thread.shutdown(wait=False, cancel_futures=True)
+                threads.shutdown(wait=False, cancel_futures=True)
 
     def _made(self, step: int, own: Any) -> tuple[Batch, Any]:
         """Return a batch and, on a GPU, the event after its last operation."""
