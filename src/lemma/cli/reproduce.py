@@ -106,6 +106,9 @@ def _check(
         try:
             engine = working.make_engine()
             found = check_experiment(experiment, results, episodes, engine, device)
+        except MissingWeightsError as error:
+            messages().print(f"Skipped {name}: {error}", soft_wrap=True)
+            continue
         except DatasetError as error:
             complain(f"{name}: {error}")
             failed += 1

@@ -31,12 +31,12 @@ from lemma.evaluation.experiments.catalog import (
     ALL,
     CONTROL_LEVEL,
     EXPERIMENTS,
+    SEEDS,
     SUITES,
     TRAININGS,
     selected,
 )
 from lemma.evaluation.experiments.reproduction import (
-    AND,
     MissingWeightsError,
     Reproduction,
     commands,
@@ -133,13 +133,21 @@ def test_what_another_script_trains_is_printed_as_well() -> None:
     every = commands(selected(CONTROL_LEVEL))
     expert, *asked = selected(CONTROL_LEVEL)
     assert every[0] == f"lemma reproduce {expert.name}"
-    there = "--weights runs/seed-0"
-    rows = [f"lemma reproduce {one.name} {there}" for one in asked]
+    asked_seeds = [(one, seed) for one in asked for seed in one.seeds]
+    rows = [
+        f"lemma reproduce {one.name} --weights runs/seed-{seed}"
+        for one, seed in asked_seeds
+    ]
     assert [line for line in every if line.startswith("lemma reproduce")][1:] == rows
-    for one, line in zip(asked, rows, strict=True):
-        made = [every.index(command) for command in one.training.split(AND)]
+    for (one, seed), line in zip(asked_seeds, rows, strict=True):
+        made = [every.index(command) for command in one.trainings(seed)]
         assert max(made) < every.index(line)
         assert set(one.tasks) < set(LADDER)
+    keypose = EXPERIMENTS["keypose"]
+    assert keypose.seeds == SEEDS
+    told = [line for line in every if line.startswith("lemma train keypose")]
+    runs = [f"--out runs/seed-{seed}/keypose --seed {seed} " for seed in SEEDS]
+    assert all(run in line for run, line in zip(runs, told, strict=True))
     # A command that makes the weights of two rows is printed once.
     assert len(every) == len(set(every))
 
@@ -319,13 +327,17 @@ def test_reproduce_says_whether_policies_decide_as_published(
 def test_rows_at_control_level_are_checked_without_lerobot(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lemma.cli.reproduce.find_spec", lambda _: None)
     results = Path(__file__).parents[3] / "results"
     assert run("reproduce", "oracle-control", "--check", "--out", results) == 0
-    assert run("reproduce", "act-reach", "--check", "--out", results) == 0
-    told, skipped = capsys.readouterr()
+    told = capsys.readouterr().out
     assert "oracle-control: 14 of 14 episodes are equal" in " ".join(told.split())
-    assert "Skipped act-reach" in skipped
+    # Nor can it be checked with it, because its weights do not ship.
+    for found, why in (None, "lerobot is not"), (True, "are not published"):
+        monkeypatch.setattr("lemma.cli.reproduce.find_spec", lambda _, it=found: it)
+        assert run("reproduce", "act-reach", "--check", "--out", results) == 0
+        skipped = capsys.readouterr().err
+        assert "Skipped act-reach" in skipped
+        assert why in " ".join(skipped.split())
 
 
 @pytest.mark.slow

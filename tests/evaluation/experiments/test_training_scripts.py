@@ -19,7 +19,6 @@ from lemma.evaluation.experiments.catalog import (
     TRAININGS,
     selected,
 )
-from lemma.evaluation.experiments.reproduction import AND
 from lemma.policies.weights_file import read_metadata, write_weights
 from test_repository import options_of
 from train_all import Machine
@@ -78,7 +77,7 @@ def test_printed_commands_can_be_given() -> None:
 def test_what_the_catalog_says_of_control_level_is_what_the_script_does() -> None:
     for one in selected(CONTROL_LEVEL):
         if not one.policy.name.startswith("lerobot:"):
-            for command in filter(None, one.training.split(AND)):
+            for command in filter(None, one.trainings(0)):
                 check_options(command)
             continue
         program, script, *words = one.training.split()

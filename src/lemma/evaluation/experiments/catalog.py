@@ -22,6 +22,8 @@ from lemma.tasks.suite import SUITE
 CONTROL_LEVEL = "control-level"
 SUITES = ("paper", "ours", "controls", CONTROL_LEVEL, "ablations")
 ALL = "all"
+AND = " && "
+"""Between commands of a line."""
 SEEDS = (0, 1, 2)
 """Training seeds; the published weights have the first one."""
 ABLATIONS = "ablations"
@@ -42,6 +44,7 @@ DATA_COMMANDS = (
 """Commands that make the data of all trainings."""
 TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
 """Teams in the order of the paper's tables."""
+_SEED = "{seed}"
 _NONE: Mapping[str, str] = {}
 
 
@@ -128,7 +131,7 @@ class Experiment:
     """Names of its tasks."""
     training: str = ""
     """The commands that make its weights, with ``&&`` between them, if they learn from
-    other data than those of :data:`TRAININGS`."""
+    other data than those of :data:`TRAININGS`; ``{seed}`` stands for the seed."""
     paper: Mapping[str, Figures] = field(default_factory=dict)
     """The paper's figures for this row, by kind of instructions."""
 
@@ -136,6 +139,15 @@ class Experiment:
     def decides(self) -> tuple[dict[str, Any], str, bool]:
         """Policy, language and start, as in the settings of its results."""
         return self.policy.about(), self.language, self.perturb_start
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Seeds with which its own commands train; only the first if they name none."""
+        return SEEDS if _SEED in self.training else SEEDS[:1]
+
+    def trainings(self, seed: int) -> list[str]:
+        """Return its own commands, in their order, for one training seed."""
+        return self.training.replace(_SEED, str(seed)).split(AND)
 
     def runs(self, seed: int) -> str:
         """Return the folder of the runs of its trainings."""

@@ -14,6 +14,7 @@ from lemma.core.workers.pool import Engine
 from lemma.evaluation.analysis.result import summarise
 from lemma.evaluation.experiments.catalog import (
     ABLATIONS,
+    AND,
     DATA_COMMANDS,
     SEEDS,
     TRAININGS,
@@ -29,8 +30,6 @@ from lemma.policies.class_path import checkpoint_of
 from lemma.policies.spec import DEVICES, PolicySpec
 from lemma.policies.weights import published_weights
 
-AND = " && "
-"""Between commands of a line."""
 _FILE = "weights.safetensors"
 _CHECKPOINT = "checkpoints/last/pretrained_model/model.safetensors"
 """File of the policy's weights in a training run of LeRobot."""
@@ -115,16 +114,15 @@ class Reproduction:
     def _found(self, experiment: Experiment) -> PolicySpec:
         """Return the policy with the paths or names of its weights."""
         policy, runs = experiment.policy, experiment.runs(SEEDS[0])
+        own = AND.join(experiment.trainings(SEEDS[0]))
         checkpoint = checkpoint_of(policy.name)
         if checkpoint is not None:
-            how = f"{experiment.training}; then --weights {runs} finds them."
+            how = f"{own}; then --weights {runs} finds them."
             path = self._weights(checkpoint, _CHECKPOINT, how)
             return replace(policy, name=policy.name.removesuffix(checkpoint) + path)
         names = list(policy.parts)
         for part in learned_parts(policy.name):
-            how = experiment.training or AND.join(
-                TRAININGS[part].commands(runs, SEEDS[0])
-            )
+            how = own or AND.join(TRAININGS[part].commands(runs, SEEDS[0]))
             names[names.index(part)] = self._weights(part, _FILE, how)
         return replace(policy, name="+".join(names))
 
@@ -180,9 +178,10 @@ def commands(experiments: list[Experiment]) -> list[str]:
     for one in elsewhere:
         for part in learned_parts(one.policy.name):
             lines += _as_it_was(part)
-        # One command may make the weights of several experiments.
-        lines += [each for each in one.training.split(AND) if each not in lines]
-        lines.append(f"lemma reproduce {one.name} --weights {one.runs(SEEDS[0])}")
+        for seed in one.seeds:
+            # One command may make the data, or the weights, of several of them.
+            lines += [each for each in one.trainings(seed) if each not in lines]
+            lines.append(f"lemma reproduce {one.name} --weights {one.runs(seed)}")
     return lines
 
 
