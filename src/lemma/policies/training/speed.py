@@ -54,11 +54,11 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
         config = config.resolved(1)
         model = first_model(config)
         data = read_frames(config, team, model.entities, mixed=model.of_any_team)
-        found = _measure_steps(config, model, data, team)
-        found["start_s"] = found.pop("first_step") - begun
+        found, start = _measure_steps(config, model, data, team)
+        found["start_s"] = start - begun
         if team.device.type == "cuda":
             eager = replace(config, compile=False, capture=False)
-            plain = _measure_steps(eager, first_model(eager), data, team)
+            plain, _ = _measure_steps(eager, first_model(eager), data, team)
             for name in ("samples_per_s", "gpu_busy"):
                 found[f"eager_{name}"] = plain[name]
         return found
@@ -66,8 +66,8 @@ def measure_training(config: TrainingConfig) -> dict[str, float]:
 
 def _measure_steps(
     config: TrainingConfig, model: Model, data: Data, team: ProcessGroup
-) -> dict[str, float]:
-    """Return the figures, and when the first measured step began, as ``first_step``."""
+) -> tuple[dict[str, float], float]:
+    """Return the figures, and the time when the first measured step began [s]."""
     first, steps = (WARM_UP, STEPS) if team.device.type == "cuda" else ON_CPU
     units = training_units(model, data.train, config)
     order = Sampler(len(units), config.batch_size or 1, config.seed)
@@ -92,13 +92,13 @@ def _measure_steps(
                 frames += len(batch)
             _wait(team.device)
         seconds = time.perf_counter() - start
-    return {
+    found = {
         "samples_per_s": steps * (config.batch_size or 1) / seconds,
         "frames_per_s": frames / seconds,
         "gpu_busy": sum(busy) / len(busy) / 100.0 if busy else float("nan"),
         "gpu_memory_gb": gpu_memory_gb(),
-        "first_step": start,
     }
+    return found, start
 
 
 def _wait(device: torch.device) -> None:
