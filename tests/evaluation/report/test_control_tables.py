@@ -1,6 +1,6 @@
 """Tables of policies at control level, and their learning curves."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -54,6 +54,28 @@ def test_their_stages_are_told_task_by_task_and_mixed_with_no_others() -> None:
         assert "ReachNet" in titles
         assert TITLE not in titles
     assert PARTIAL not in protocol_words(entries)
+
+
+def test_kinds_of_instructions_are_counted_apart_and_stages_are_of_one() -> None:
+    tasks = EXPERIMENTS["keypose"].tasks
+    said, unseen = (
+        result(wins, experiment="keypose", tasks=tasks, kind=kind)
+        for wins, kind in ((8, "high_level"), (2, "unseen"))
+    )
+    both = replace(
+        said,
+        cells=said.cells + unseen.cells,
+        reached=said.reached + unseen.reached,
+    )
+    alone, mixed = (entries_of([one], complete=True) for one in (said, both))
+    found = {
+        row[1]: row for row in tables.control_level(mixed).rows if row[0] == "KeyPose"
+    }
+    assert found["high-level"][2:4] != found["unseen"][2:4]
+    assert found["high-level"][-1] == found["unseen"][-1] == str(10 * len(tasks))
+    assert found["human"][-1] == NOT_RUN
+    rows = [{one.title: one.table for one in sections(each)} for each in (alone, mixed)]
+    assert rows[0][RUNGS].rows == rows[1][RUNGS].rows
 
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:

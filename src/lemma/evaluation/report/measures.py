@@ -105,12 +105,18 @@ def reached(entries: Iterable[PolicyResults], *, by_task: bool = False) -> Table
 
     Args:
         entries: Results by policy.
-        by_task: Whether each task has a row, instead of each kind of instructions.
+        by_task: Whether each task has a row, with high-level instructions, instead of
+            each kind of instructions.
     """
     field = "task" if by_task else "kind"
     rows = []
     for entry in entries:
-        every = [one for result in entry.results for one in result.reached]
+        every = [
+            one
+            for result in entry.results
+            for one in result.reached
+            if not by_task or one.kind == ALL_KINDS[0]
+        ]
         values = LADDER if by_task else ALL_KINDS
         for value in values if entry.suite != ABLATIONS else ():
             found = [one for one in every if getattr(one, field) == value]

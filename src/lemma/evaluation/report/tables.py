@@ -189,7 +189,7 @@ def control_level(entries: Iterable[PolicyResults]) -> Table:
     rows = (
         (
             *next(_lines(entry, columns, words(kind, "-"), kind=kind)),
-            str(entry.episodes() or NOT_RUN),
+            str(entry.episodes(kind) or NOT_RUN),
         )
         for entry, experiment in chosen
         for kind in experiment.kinds
