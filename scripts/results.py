@@ -124,9 +124,8 @@ _TRAINING = """
 
 ![Validation while training](images/validation.svg)
 
-*The score by which the best weights of a training are chosen, at its ten validations;
-each model has its own. KeyPose's training ended before its tenth.
-[](results/rows.md#trainings) lists all trainings.*
+*The score by which the best weights of a training are chosen, at its validations; each
+model has its own. [](results/rows.md#trainings) lists all trainings.*
 """
 
 

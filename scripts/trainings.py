@@ -46,6 +46,8 @@ class Training:
     curve: tuple[float, ...]
     """This score at each validation, from 0 to 1."""
     command: str
+    shares: tuple[float, ...] = ()
+    """Share of the training at each validation; evenly spaced ones if empty."""
 
 
 def training_of(run: Path) -> Training:
@@ -82,6 +84,7 @@ def training_from(report: Mapping[str, object], name: str) -> Training:
         selection=selection,
         curve=tuple(round(one[selection], 4) for one in parsed.history),
         command=parsed.command,
+        shares=tuple(round(one["step"] / parsed.steps, 3) for one in parsed.history),
     )
 
 
@@ -90,6 +93,7 @@ class _Report(msgspec.Struct):
 
     model: str
     samples: int
+    steps: int
     seconds: float
     samples_per_s: float
     gpu_memory_gb: float
@@ -138,21 +142,17 @@ def training_table(trainings: Sequence[Training]) -> Table:
 
 
 def validation_figure(trainings: Sequence[Training]) -> Figure:
-    """Return the validation curves of first seeds with ten validations."""
+    """Return the validation curves of first seeds, each at the nearest tenth.
+
+    A record without shares needs ten validations.
+    """
     shown: dict[str, Training] = {}
     for one in trainings:
         # A step count that ten does not divide leaves one more validation at the end.
-        if len(one.curve) in (TENTHS, TENTHS + 1):
+        if one.shares or len(one.curve) in (TENTHS, TENTHS + 1):
             shown.setdefault(one.name, one)
     series = [
-        Series(
-            f"{one.name}: {one.selection}",
-            tuple(
-                Mark(value, value, value, f"{value:.1%}")
-                for value in one.curve[:TENTHS]
-            ),
-        )
-        for one in shown.values()
+        Series(f"{one.name}: {one.selection}", marks_of(one)) for one in shown.values()
     ]
     parts = [f"{10 * (k + 1)}" for k in range(TENTHS)]
     axes = "share of the training [%]", "validation score [%]"
@@ -162,6 +162,16 @@ def validation_figure(trainings: Sequence[Training]) -> Figure:
         "The score by which the best weights are chosen; each model has its own.",
         lines(parts, series, axes),
     )
+
+
+def marks_of(one: Training) -> tuple[Mark | None, ...]:
+    """Return the scores at the tenths of a training; None where there is no score."""
+    shares = one.shares or [(k + 1) / TENTHS for k in range(TENTHS)]
+    at = {
+        round(TENTHS * share): Mark(value, value, value, f"{value:.1%}")
+        for share, value in zip(shares, one.curve, strict=False)
+    }
+    return tuple(at.get(k + 1) for k in range(TENTHS))
 
 
 def main() -> None:

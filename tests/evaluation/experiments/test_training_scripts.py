@@ -77,7 +77,7 @@ def test_printed_commands_can_be_given() -> None:
 def test_what_the_catalog_says_of_control_level_is_what_the_script_does() -> None:
     for one in selected(CONTROL_LEVEL):
         if not one.policy.name.startswith("lerobot:"):
-            for command in filter(None, one.trainings(0)):
+            for command in one.trainings(0):
                 check_options(command)
             continue
         program, script, *words = one.training.split()

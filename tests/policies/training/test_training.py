@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.frames import Frames
 from lemma.policies.models.catalog import MODELS
+from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.training import loop as loop
 from lemma.policies.training.config import (
     DEFAULTS,
@@ -27,7 +29,7 @@ from lemma.policies.training.config import (
     TrainingConfig,
 )
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import BatchLoader, Sampler
+from lemma.policies.training.loader import AHEAD, BatchLoader, Sampler
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import training_units
 from lemma.policies.training.speed import measure_training
@@ -246,17 +248,33 @@ def test_every_unit_is_drawn_once_in_each_pass() -> None:
     assert [Sampler(14, 8, 3).step(n) for n in (6, 0)] == [drawn[48:56], drawn[:8]]
 
 
-def test_batches_are_the_same_ahead_and_at_once(data: Path, tmp_path: Path) -> None:
+def test_batches_are_the_same_ahead_and_at_once(
+    data: Path, tmp_path: Path, switches_at_once: None
+) -> None:
     frames, options = Frames.load(data), config(data, tmp_path).resolved()
     units = training_units(Tiny(TinyConfig()), frames, options)
-    feed = BatchLoader(frames, units, Sampler(len(units), 4, 0), options, ALONE.device)
-    with feed.ahead(5, 9) as batches:
+    order, reader = Sampler(len(units), 4, 0), ReachNet()
+    feed = BatchLoader(
+        frames, units, order, options, ALONE.device, text_tensors=reader.text_tensors
+    )
+    with feed.ahead(5, 17) as batches:
         ahead = list(batches)
-    assert len(ahead) == 4
-    for step, batch in zip(range(5, 9), ahead, strict=True):
+    assert len(ahead) == 12 > AHEAD
+    for step, batch in zip(range(5, 17), ahead, strict=True):
         again = feed.make(step)
         assert torch.equal(batch.rgb, again.rgb)
         assert batch.instructions == again.instructions
+        for name, tensor in again.text_tensors.items():
+            assert torch.equal(batch.text_tensors[name], tensor)
+
+
+@pytest.fixture
+def switches_at_once() -> Iterator[None]:
+    """Let threads take turns as often as possible, which shows what they share."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(usual)
 
 
 def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(

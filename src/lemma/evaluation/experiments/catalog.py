@@ -147,7 +147,8 @@ class Experiment:
 
     def trainings(self, seed: int) -> list[str]:
         """Return its own commands, in their order, for one training seed."""
-        return self.training.replace(_SEED, str(seed)).split(AND)
+        own = self.training.replace(_SEED, str(seed))
+        return own.split(AND) if own else []
 
     def runs(self, seed: int) -> str:
         """Return the folder of the runs of its trainings."""

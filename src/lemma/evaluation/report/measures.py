@@ -115,7 +115,7 @@ def reached(entries: Iterable[PolicyResults], *, by_task: bool = False) -> Table
             one
             for result in entry.results
             for one in result.reached
-            if not by_task or one.kind == ALL_KINDS[0]
+            if not by_task or one.kind == "high_level"
         ]
         values = LADDER if by_task else ALL_KINDS
         for value in values if entry.suite != ABLATIONS else ():
