@@ -13,6 +13,9 @@ from lemma.scene.cameras import FreeCamera
 from lemma.scene.rendering.renderer import Renderer
 from lemma.scene.scene import Scene
 
+NEAREST_M = 0.2
+"""Least distance of a point in front of the camera; by its slopes alone the camera may
+stand in the nearest point."""
 _CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
@@ -51,7 +54,8 @@ def overview(
 
     In the camera's axes a point (r, d, f) is inside the picture of a camera at
     (R, D, F) if |r - R| <= a (f - F) and |d - D| <= b (f - F), with the slopes a and b
-    of the picture's edges. This is linear, so the largest F has a closed form.
+    of the picture's edges. This is linear, so the largest F has a closed form. Besides,
+    all points are at least :data:`NEAREST_M` in front of it.
 
     Args:
         points: World positions, shape (N, 3) [m], such as :func:`outline` returns.
@@ -73,7 +77,7 @@ def overview(
         low = float(np.max(-across - edge * forward))
         position[axis] = (high - low) / 2
         depths.append(-(high + low) / (2 * edge))
-    position[2] = min(depths)
+    position[2] = min(*depths, float(np.min(forward)) - NEAREST_M)
     distance = float(np.mean(forward) - position[2])
     x, y, z = (axes @ (position + np.array([0.0, 0.0, distance]))).tolist()
     return replace(direction, lookat=(x, y, z), distance=distance)
