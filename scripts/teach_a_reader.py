@@ -30,7 +30,7 @@ from lemma.policies.models.team_reachnet.reader import Reading, Wanted
 from lemma.policies.models.team_reachnet.table import TeamTable, true_table
 from lemma.policies.models.team_reachnet.teams import ROBOTS, colored
 from lemma.policies.text.encoder import Sentences
-from lemma.policies.training.loader import with_instructions, with_places
+from lemma.policies.text.instructions import with_instructions, with_places
 from lemma.policies.weights import find_weights, load_model
 from lemma.policies.weights_file import read_metadata, write_weights
 from lemma.scene.raster import RASTER

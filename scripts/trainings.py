@@ -1,6 +1,6 @@
 """Records of the trainings behind the results: duration, speed and end.
 
-    python scripts/trainings.py runs/seed-0/* runs/seed-1/*
+    python scripts/trainings.py runs/seed-0/* runs/ablations/*
 
 copies the reports of ``lemma train`` of these runs to results/trainings/.
 ``scripts/results.py`` makes a table and a figure of the validation curves from them.
@@ -16,6 +16,7 @@ import msgspec
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json
 from lemma.core.tables import Table
+from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS
 from lemma.policies.models.catalog import MODELS
 from lemma.viz.plots import Figure, Mark, Series, lines
 
@@ -144,12 +145,15 @@ def training_table(trainings: Sequence[Training]) -> Table:
 def validation_figure(trainings: Sequence[Training]) -> Figure:
     """Return the validation curves of first seeds, each at the nearest tenth.
 
-    A record without shares needs ten validations.
+    A record without shares needs ten validations. Ablations are left out.
     """
+    every = EXPERIMENTS.values()
+    ablations = {one.policy.name for one in every if one.suite == ABLATIONS}
     shown: dict[str, Training] = {}
     for one in trainings:
         # A step count that ten does not divide leaves one more validation at the end.
-        if one.shares or len(one.curve) in (TENTHS, TENTHS + 1):
+        whole = one.shares or len(one.curve) in (TENTHS, TENTHS + 1)
+        if whole and one.name not in ablations:
             shown.setdefault(one.name, one)
     series = [
         Series(f"{one.name}: {one.selection}", marks_of(one)) for one in shown.values()

@@ -114,5 +114,12 @@ def test_many_tables_need_an_extra_and_their_number_needs_them(
     assert "at least 1, not 0" in one_line(capsys)
 
 
+def test_the_memory_for_images_needs_a_training(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("bench", "--images", "device") == 2
+    assert "--images needs --training" in one_line(capsys)
+
+
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     return " ".join(capsys.readouterr().err.split())

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.progress import track
@@ -106,6 +106,7 @@ _GPU_TARGETS = {
     "ready_s": ("time until the first step, with compilation", "{:.0f} s", ""),
 }
 _WORLDS = 4096
+Images = Literal["auto", "device", "host"]
 _GROUPS = {
     "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
     "loop": (
@@ -142,6 +143,7 @@ def bench(
         str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")
     ] = None,
     data: Folder = None,
+    images: Images = "auto",
     gpu: Flag = False,
     worlds: Number = None,
     as_json: JsonFlag = False,
@@ -158,6 +160,7 @@ def bench(
         policy: Instead, measure the decision time and memory of this policy.
         training: Instead, measure the training speed of this model and the GPU's load.
         data: With --training: folder of keyframes that lemma render wrote.
+        images: With --training: memory for the images, as in lemma train.
         gpu: Instead, measure many worlds at once with lemma.make_gpu_vec, in these
             tasks or in stack.
         worlds: With --gpu: number of worlds; 4096 by default.
@@ -167,14 +170,17 @@ def bench(
     names = tuple(TASKS[name].name for name in dict.fromkeys(tasks)) or SUITE
     asked = {"--policy": policy, "--training": training, "--expert": expert,
              "--together": together, "--gpu": gpu}  # fmt: skip
-    _check_options(asked, episodes, workers, data, worlds)
+    _check_options(asked, episodes, workers, data, worlds, images)
     if gpu:
         return _bench_gpu(names if tasks else ("stack",), worlds or _WORLDS, as_json)
     if together:
         return _bench_together(names if tasks else PARALLEL_TASKS, episodes, as_json)
     each = min(episodes, _SPEED_EPISODES)
     machine = describe_machine()
-    found = _measure(names, each, policy, training, data)
+    if training is not None and data is not None:
+        found = {"training": _measure_training(training, data, images)}
+    else:
+        found = _measure(names, each, policy)
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
         report: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
@@ -194,12 +200,8 @@ def _measure(
     names: tuple[str, ...],
     each: int,
     policy: str | None,
-    training: str | None,
-    data: Path | None,
 ) -> dict[str, Figures]:
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
-    if training is not None and data is not None:
-        return {"training": _measure_training(training, data)}
     if policy is not None:
         with messages().status(f"Playing {len(instances)} episodes ..."):
             return {"policy": measure_policy(policy, instances)}
@@ -223,6 +225,7 @@ def _check_options(
     workers: int | None,
     data: Path | None,
     worlds: int | None,
+    images: Images,
 ) -> None:
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
@@ -238,6 +241,8 @@ def _check_options(
         raise InvalidConfigError(
             "--training MODEL needs --data DIR, and --data needs --training."
         )
+    if images != "auto" and asked["--training"] is None:
+        raise InvalidConfigError("--images needs --training.")
     if worlds is not None and not (asked["--gpu"] and worlds >= 1):
         raise InvalidConfigError(
             f"--worlds needs --gpu and is at least 1, not {worlds}."
@@ -253,12 +258,12 @@ def _measure_speed(instances: Sequence[Instance], each: int) -> dict[str, Figure
         }
 
 
-def _measure_training(model: str, data: Path) -> Figures:
+def _measure_training(model: str, data: Path, images: Images) -> Figures:
     # Import late: torch is optional.
     from lemma.policies.training.config import TrainingConfig
     from lemma.policies.training.speed import measure_training
 
-    config = TrainingConfig(model, data, data / "unused")
+    config = TrainingConfig(model, data, data / "unused", images=images)
     with messages().status(f"Training {model} for some steps ..."):
         found = measure_training(config)
     if math.isnan(found["gpu_busy"]):

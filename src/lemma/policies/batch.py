@@ -164,13 +164,13 @@ def moved(batch: Batch, device: torch.device) -> Batch:
 
     def there(part: Any) -> dict[str, Any]:
         values = {f.name: getattr(part, f.name) for f in fields(part)}
-        return {n: sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
+        return {n: _sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
 
     labels = batch.labels and replace(batch.labels, **there(batch.labels))
     return replace(batch, **there(batch), labels=labels)
 
 
-def sent(tensor: Tensor, device: torch.device) -> Tensor:
+def _sent(tensor: Tensor, device: torch.device) -> Tensor:
     """Copy a tensor to a device asynchronously."""
     if tensor.device.type == device.type:
         return tensor

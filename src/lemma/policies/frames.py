@@ -22,7 +22,6 @@ from lemma.policies.batch import (
     Labels,
     decision_numbers,
     moved,
-    sent,
     with_sub_instructions,
 )
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
@@ -177,8 +176,8 @@ class Frames:
         rows = torch.as_tensor(indices, device=self.device)
         listed = rows.tolist()
         # Send heights as 16-bit integers: float32 has twice as many bytes.
-        rgb = sent(self.rgb.index_select(0, rows), device)
-        height = sent(self.height.index_select(0, rows), device)
+        rgb = _picked(self.rgb, rows, device)
+        height = _picked(self.height, rows, device)
         coverage = height != 0
         height_m = height.float() * UNIT_M + (self.raster.floor_m - UNIT_M)
         tensors = {name: tensor[rows] for name, tensor in self._tensors.items()}
@@ -201,6 +200,18 @@ class Frames:
 
     def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+
+
+def _picked(images: Tensor, rows: Tensor, device: torch.device) -> Tensor:
+    """Return some images on a device."""
+    if images.device.type == device.type:
+        return images.index_select(0, rows)
+    # Pinned memory is kept for later batches. New memory for each batch would take
+    # several times as long as the copy.
+    shape, pinned = (len(rows), *images.shape[1:]), device.type == "cuda"
+    found = torch.empty(shape, dtype=images.dtype, pin_memory=pinned)
+    torch.index_select(images, 0, rows, out=found)
+    return found.to(device, non_blocking=True)
 
 
 def _heavy(

@@ -32,9 +32,9 @@ from lemma.policies.batch import Batch
 from lemma.policies.control.oracle import ExpertKeyPoses
 from lemma.policies.frames import Frames
 from lemma.policies.models.keypose import KeyPoseConfig, KeyPoseModel
+from lemma.policies.text.instructions import with_instructions
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import Augmentation
-from lemma.policies.training.loader import with_instructions
 from lemma.robots.ur.kinematics import top_down
 from lemma.tasks.suite import load_instance
 

@@ -19,9 +19,9 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.policies.batch import NOBODY, Batch
 from lemma.policies.frames import Frames
+from lemma.policies.text.instructions import with_instructions, with_language
 from lemma.policies.training.augmentation import augment, move
 from lemma.policies.training.config import Augmentation
-from lemma.policies.training.loader import with_instructions, with_language
 from lemma.policies.training.recoloring import permute_colors
 from lemma.scene.objects.entity import ENTITIES, SHARED
 from lemma.scene.objects.palette import OBJECT_COLORS

@@ -13,9 +13,9 @@ from lemma.core.seeding import stream
 from lemma.dataset.instructions import Language
 from lemma.policies.frames import Frames
 from lemma.policies.text.grammar import grammar
+from lemma.policies.text.instructions import with_instructions
 from lemma.policies.text.paraphrase import paraphrase
 from lemma.policies.text.words import Vocabulary, _neighbours, neighbours
-from lemma.policies.training.loader import with_instructions
 from lemma.policies.training.loop import train
 from lemma.tasks.language import blind
 from lemma.tasks.language.bank import vocabulary

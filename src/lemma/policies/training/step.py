@@ -18,14 +18,14 @@ from lemma.policies.batch import Batch
 from lemma.policies.frames import Frames
 from lemma.policies.layers import Network
 from lemma.policies.models.base import Model
-from lemma.policies.training.captured import CapturedStep
-from lemma.policies.training.config import TrainingConfig
-from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import (
+from lemma.policies.text.instructions import (
     with_instructions,
     with_language,
     with_places,
 )
+from lemma.policies.training.captured import CapturedStep
+from lemma.policies.training.config import TrainingConfig
+from lemma.policies.training.distributed import ProcessGroup
 
 Scores = dict[str, float]
 """Mean scores by name, without scores that no frame has."""
