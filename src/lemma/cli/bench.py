@@ -177,10 +177,7 @@ def bench(
         return _bench_together(names if tasks else PARALLEL_TASKS, episodes, as_json)
     each = min(episodes, _SPEED_EPISODES)
     machine = describe_machine()
-    if training is not None and data is not None:
-        found = {"training": _measure_training(training, data, images)}
-    else:
-        found = _measure(names, each, policy)
+    found = _measure(names, each, policy, training, data, images)
     experts = _measure_expert(names, episodes, workers) if expert else {}
     if as_json:
         report: dict[str, object] = {n: _rounded(of) for n, of in found.items()}
@@ -191,8 +188,7 @@ def bench(
     _print_machine(machine)
     for name, figures in found.items():
         _print_group(name, figures, policy=policy, training=training, each=each)
-    if experts:
-        _print_experts(experts)
+    _print_experts(experts)
     return 0
 
 
@@ -200,8 +196,13 @@ def _measure(
     names: tuple[str, ...],
     each: int,
     policy: str | None,
+    training: str | None,
+    data: Path | None,
+    images: Images,
 ) -> dict[str, Figures]:
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
+    if training is not None and data is not None:
+        return {"training": _measure_training(training, data, images)}
     if policy is not None:
         with messages().status(f"Playing {len(instances)} episodes ..."):
             return {"policy": measure_policy(policy, instances)}
@@ -329,6 +330,8 @@ def _rounded(figures: Figures) -> Figures:
 
 
 def _print_experts(experts: dict[str, Figures]) -> None:
+    if not experts:
+        return
     header = ("task", *(heading for heading, _ in _EXPERT_FORMS.values()))
     rows = (
         (task, *(form.format(of[n]) for n, (_, form) in _EXPERT_FORMS.items()))

@@ -236,7 +236,7 @@ def noisy(text: str, rng: np.random.Generator, chances: Mapping[str, float]) -> 
     for piece, (draw, which) in zip(pieces, draws, strict=True):
         if not piece[0].isalpha():
             out.append(piece if marked else "")
-        elif piece in OBJECT_COLORS or draw >= upto[3]:
+        elif draw >= upto[3] or piece in OBJECT_COLORS:
             out.append(piece)
         elif draw >= upto[2]:
             at = int(which * len(piece))
