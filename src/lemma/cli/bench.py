@@ -106,7 +106,7 @@ _GPU_TARGETS = {
     "ready_s": ("time until the first step, with compilation", "{:.0f} s", ""),
 }
 _WORLDS = 4096
-Images = Literal["auto", "device", "host"]
+_Images = Literal["auto", "device", "host"]
 _GROUPS = {
     "speed": (f"Speed (first {{each}} of split {_SPLIT!r} per task)", _TARGETS),
     "loop": (
@@ -143,7 +143,7 @@ def bench(
         str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="")
     ] = None,
     data: Folder = None,
-    images: Images = "auto",
+    images: _Images = "auto",
     gpu: Flag = False,
     worlds: Number = None,
     as_json: JsonFlag = False,
@@ -198,7 +198,7 @@ def _measure(
     policy: str | None,
     training: str | None,
     data: Path | None,
-    images: Images,
+    images: _Images,
 ) -> dict[str, Figures]:
     instances = [load_instance(name, _SPLIT, i) for name in names for i in range(each)]
     if training is not None and data is not None:
@@ -226,7 +226,7 @@ def _check_options(
     workers: int | None,
     data: Path | None,
     worlds: int | None,
-    images: Images,
+    images: _Images,
 ) -> None:
     if not 1 <= episodes <= SPLITS[_SPLIT] or (workers is not None and workers < 1):
         raise InvalidConfigError(
@@ -259,7 +259,7 @@ def _measure_speed(instances: Sequence[Instance], each: int) -> dict[str, Figure
         }
 
 
-def _measure_training(model: str, data: Path, images: Images) -> Figures:
+def _measure_training(model: str, data: Path, images: _Images) -> Figures:
     # Import late: torch is optional.
     from lemma.policies.training.config import TrainingConfig
     from lemma.policies.training.speed import measure_training
