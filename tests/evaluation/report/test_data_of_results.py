@@ -85,12 +85,17 @@ def test_seeds_share_their_data() -> None:
         return replace(made, about={**made.about, "weights": weights})
 
     first = trained(0, digest="a", renderer="one card", of_any_renderer="e")
-    # The digest covers the card that rendered the images; the other one does not.
-    entries_of([first, trained(1, digest="b", renderer="another", of_any_renderer="e")])
+    # The digest covers the card that rendered the images, and splits that training
+    # does not read; the other one does not.
+    for card in ("one card", "another"):
+        same = trained(1, digest="b", renderer=card, of_any_renderer="e")
+        entries_of([first, same])
+    entries_of([first, trained(1, digest="a", renderer="one card")])
     for other in (
-        trained(1, digest="b", renderer="one card", of_any_renderer="e"),
+        trained(1, digest="a", renderer="one card", of_any_renderer="f"),
         trained(1, digest="b", renderer="another", of_any_renderer="f"),
-        trained(1, digest="b", renderer="another"),
+        trained(1, digest="b", renderer="one card"),
+        trained(1, digest="a", renderer="another"),
     ):
         with pytest.raises(DatasetError, match="other data"):
             entries_of([first, other])

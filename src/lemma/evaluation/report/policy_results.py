@@ -285,16 +285,16 @@ def _by_seed(results: list[Result]) -> tuple[Result, ...]:
 def _same_data(one: Result, other: Result) -> bool:
     """Return whether each part of a policy was trained on the same data.
 
-    The digest of data covers the graphics card that rendered the images. Where cards
-    differ, both trainings must have recorded the digest without it.
+    The digest of data covers the graphics card that rendered the images, and splits
+    that no training reads. Newer trainings have recorded one of the rest as well.
     """
     weights, others = one.about["weights"], other.about["weights"]
     if set(weights) != set(others):
         return False
     for name, entry in weights.items():
         data, same = entry.get("data", {}), others[name].get("data", {})
-        is_rendered_alike = data.get("renderer") == same.get("renderer")
-        key = "digest" if is_rendered_alike else "of_any_renderer"
-        if data.get(key) != same.get(key) or not (is_rendered_alike or key in data):
+        read = "of_any_renderer"
+        keys = [read] if read in data and read in same else ["digest", "renderer"]
+        if any(data.get(key) != same.get(key) for key in keys):
             return False
     return True
