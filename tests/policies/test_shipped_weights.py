@@ -9,8 +9,9 @@ from tiers import slow_but
 
 from lemma.core.poses import Pose2
 from lemma.evaluation.analysis.result import read_result
-from lemma.evaluation.experiments.catalog import TRAININGS
+from lemma.evaluation.experiments.catalog import EXPERIMENTS, TRAININGS
 from lemma.evaluation.protocol.language_controls import LanguageControl
+from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Player, Rollout, roll_out
 from lemma.policies.class_path import privileged
 from lemma.policies.models.catalog import MODELS
@@ -55,6 +56,9 @@ def test_results_are_of_the_weights_that_ship(path: Path) -> None:
         shipped = {entry["sha256"] for entry in published_weights().values()}
         # An experiment leaves the list when its weights ship.
         assert (used <= shipped) == (path.parent.name not in TOO_LARGE)
+        if used <= shipped:
+            # So a user's own row can be averaged with published seeds.
+            assert weights_of(EXPERIMENTS[path.parent.name].policy) == about["weights"]
 
 
 @pytest.mark.parametrize("name", slow_but(NAMES, *NAMES[:2]))

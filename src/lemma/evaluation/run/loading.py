@@ -234,10 +234,13 @@ def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
 
     about = read_metadata(path)
     ended = {"ended": about.ended} if about.ended == TIME_LIMIT else {}
+    digest = sha256_of(path)
+    # The list of published weights has a digest that older files lack.
+    listed = (one for one in published_weights().values() if one["sha256"] == digest)
     return about.model.removeprefix(LEROBOT), {
-        "sha256": sha256_of(path),
+        "sha256": digest,
         "seed": about.training.get("seed", 0),
-        "data": about.data,
+        "data": {**about.data, **next(listed, {}).get("data", {})},
         **ended,
     }
 
