@@ -234,13 +234,15 @@ def _weights_in(path: Path) -> tuple[str, dict[str, Any]]:
 
     about = read_metadata(path)
     ended = {"ended": about.ended} if about.ended == TIME_LIMIT else {}
-    digest = sha256_of(path)
-    # The list of published weights has a digest that older files lack.
-    listed = (one for one in published_weights().values() if one["sha256"] == digest)
+    digest, data = sha256_of(path), dict(about.data)
+    for one in published_weights().values():
+        # The list has a digest of the data that older files lack.
+        if one["sha256"] == digest and "of_any_renderer" in one:
+            data["of_any_renderer"] = one["of_any_renderer"]
     return about.model.removeprefix(LEROBOT), {
         "sha256": digest,
         "seed": about.training.get("seed", 0),
-        "data": {**about.data, **next(listed, {}).get("data", {})},
+        "data": data,
         **ended,
     }
 
