@@ -12,6 +12,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
+from lemma.policies.text.lessons import Lesson
 from lemma.scene.raster import Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
 from lemma.tasks.language.template import GoalPairs
@@ -51,6 +52,9 @@ class Batch:
     """Entities that have a number in decisions and labels; E of them."""
     labels: "Labels | None" = None
     """Decisions of the expert and the true state; None at inference."""
+    lesson: Lesson | None = None
+    """Sentences for the reader alone, which a training step adds to those of the
+    frames; None for none."""
     text_tensors: Mapping[str, Tensor] = field(default_factory=dict)
     """Texts and names as tensors, from the model's method of this name, if any."""
 

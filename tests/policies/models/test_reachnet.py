@@ -14,10 +14,13 @@ from tiny_models import tiny as tiny_model
 import measure_reading
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.batch import STOP
+from lemma.policies.entities import BENCHMARK
 from lemma.policies.interfaces import Grounder, PastStep, Planner, Policy
 from lemma.policies.models.base import MODELS
+from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.model import ReachNet, ReachNetConfig
 from lemma.policies.models.reachnet.scene_table import true_table
+from lemma.policies.models.reachnet.understanding import lessons_of
 from lemma.policies.weights import find_weights, load_model
 from lemma.policies.weights_file import read_metadata, write_weights
 from lemma.scene.objects.entity import ENTITIES
@@ -89,20 +92,34 @@ def test_it_overfits_one_episode(expert: ReachNet) -> None:
 
 
 @pytest.mark.parametrize(
-    ("lessons", "orders", "count"), [(0.0, 0.0, 0), (0.15, 0.0, 1), (0.9, 0.6, 7)]
+    ("similar", "orders", "count"), [(0.0, 0.0, 0), (0.15, 0.0, 1), (0.9, 0.6, 7)]
 )
-def test_lessons_for_the_reader_come_behind_the_instructions(
-    lessons: float, orders: float, count: int
-) -> None:
-    model, batch = tiny(), drawn_batch(4)
-    model.reader.config = replace(model.reader.config, lessons=lessons, orders=orders)
-    told = model.text_tensors(batch)
+def test_lessons_for_the_reader(similar: float, orders: float, count: int) -> None:
+    reader = ReaderConfig(lessons=similar, orders=orders)
+    lessons = lessons_of(reader, BENCHMARK, 4)
+    if not count:
+        assert lessons is None
+        return
+    assert lessons is not None
+    batch = replace(drawn_batch(4), lesson=lessons.draw(0, 7))
+    told = tiny().text_tensors(batch)
     assert len(told["goal"]) == len(told["reasons"]) == 4 + count
     assert told["words"].shape[1] == 4 + count
-    assert (told["reasons"][:4] == -1).all()
-    ordered = told["goal"].shape[0] - math.ceil(4 * orders)
+    ordered = 4 + count - math.ceil(4 * orders)
     assert (told["reasons"][ordered:] == -1).all()
     assert (told["goal"][ordered:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize("unread", [{"refuses": False}, {"guesses": True}])
+def test_some_readers_have_no_lessons(unread: dict[str, bool]) -> None:
+    assert lessons_of(ReaderConfig(**unread), BENCHMARK, 4) is None
+
+
+def test_instructions_are_read_as_orders_with_the_goals_of_the_frames() -> None:
+    batch = drawn_batch(4)
+    told = tiny().text_tensors(batch)
+    assert told["words"].shape[1] == len(told["goal"]) == 4
+    assert told["reasons"].tolist() == [-1] * 4
     ((top, bottom),) = batch.labels.goals[0] if batch.labels else ()
     assert told["goal"][0, 0].tolist() == [
         batch.entities.number(name) for name in (top, bottom)

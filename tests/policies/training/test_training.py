@@ -254,14 +254,13 @@ def test_batches_are_the_same_ahead_and_at_once(
     frames, options = Frames.load(data), config(data, tmp_path).resolved()
     units = training_units(Tiny(TinyConfig()), frames, options)
     order, reader = Sampler(len(units), 4, 0), ReachNet()
-    feed = BatchLoader(
-        frames, units, order, options, ALONE.device, text_tensors=reader.text_tensors
-    )
+    feed = BatchLoader(frames, units, order, options, ALONE.device, model=reader)
     with feed.ahead(5, 17) as batches:
         ahead = list(batches)
     assert len(ahead) == 12 > AHEAD
     for step, batch in zip(range(5, 17), ahead, strict=True):
         again = feed.make(step)
+        assert len(batch.text_tensors["goal"]) == 4 + 2 + 8
         assert torch.equal(batch.rgb, again.rgb)
         assert batch.instructions == again.instructions
         for name, tensor in again.text_tensors.items():
@@ -280,7 +279,7 @@ def switches_at_once() -> Iterator[None]:
 def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(feed: BatchLoader, step: int) -> None:
+    def fail(feed: BatchLoader, step: int, lesson: None) -> None:
         raise RuntimeError(f"no batch {step}")
 
     monkeypatch.setattr(BatchLoader, "make", fail)

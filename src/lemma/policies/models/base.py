@@ -17,6 +17,7 @@ from lemma.policies.batch import PRIMITIVES, STOP, Batch, batch_of
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import PolicyInput
 from lemma.policies.models.view_cache import ViewCache
+from lemma.policies.text.lessons import Lessons
 from lemma.scene.raster import RASTER, Raster
 from lemma.tasks.subtask import STOP as STOP_SUBTASK
 from lemma.tasks.subtask import Primitive, SubTask
@@ -69,6 +70,14 @@ class Model(nn.Module, ABC):
             batch: Batch with labels.
         """
         return {}
+
+    def lessons(self, frames: int) -> Lessons | None:
+        """Return the draws of sentences for the reader alone; None if it has none.
+
+        Args:
+            frames: Number of frames in a batch.
+        """
+        return None
 
     @abstractmethod
     def loss(self, batch: Batch) -> dict[str, Tensor]:

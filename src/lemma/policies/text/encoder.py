@@ -56,6 +56,21 @@ class Sentences(NamedTuple):
         return self.numbers != PADDING
 
 
+def sentences_of(rows: NDArray[np.int32], device: torch.device) -> Sentences:
+    """Return sentences on a device.
+
+    Args:
+        rows: Number, row of its vector and group of each word, (B, longest, 3).
+        device: Device of the result.
+    """
+    numbers = torch.from_numpy(rows.astype(np.int64))
+    if device.type == "cpu":
+        # On a GPU a fixed shape is faster than short sentences.
+        longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
+        numbers = numbers[:, :longest]
+    return Sentences(*numbers.to(device).unbind(2))
+
+
 Texts = Sequence[str] | Sentences
 """Texts, or texts that a :class:`SentenceReader` has converted."""
 
@@ -106,13 +121,11 @@ class SentenceReader:
         """Return texts as numbers; with names, a text without words is all padding."""
         if isinstance(texts, Sentences):
             return texts
-        rows = np.stack([self._read(text) for text in texts]).astype(np.int64)
-        numbers = torch.from_numpy(rows)
-        if device.type == "cpu":
-            # On a GPU a fixed shape is faster than short sentences.
-            longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
-            numbers = numbers[:, :longest]
-        return Sentences(*numbers.to(device).unbind(2))
+        return sentences_of(self.rows(texts), device)
+
+    def rows(self, texts: Sequence[str]) -> NDArray[np.int32]:
+        """Return number, row of its vector and group of each word, (B, longest, 3)."""
+        return np.stack([self._read(text) for text in texts])
 
     def _read(self, text: str) -> NDArray[np.int32]:
         """Return number, row of its vector and group of each word, (longest, 3)."""

@@ -67,7 +67,8 @@ def without_texts(batch: Batch, tensors: Mapping[str, Tensor]) -> Batch:
     """
     assert batch.labels is not None
     own = {name: value.clone() for name, value in tensors.items()}
-    return replace(_bare(batch), labels=_bare(batch.labels), text_tensors=own)
+    bare = replace(_bare(batch), lesson=None)
+    return replace(bare, labels=_bare(batch.labels), text_tensors=own)
 
 
 def _bare(record: _Record) -> _Record:

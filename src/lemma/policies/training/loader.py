@@ -7,12 +7,12 @@ replaced in control experiments.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import islice
+from itertools import islice, repeat
 from typing import Any
 
 import numpy as np
@@ -23,16 +23,20 @@ from torch import Tensor
 from lemma.core.seeding import stream
 from lemma.policies.batch import Batch
 from lemma.policies.frames import Frames
+from lemma.policies.models.base import Model
 from lemma.policies.text.instructions import (
     with_instructions,
     with_language,
     with_places,
 )
+from lemma.policies.text.lessons import Lesson
 from lemma.policies.training.augmentation import augment
 from lemma.policies.training.config import TrainingConfig
 
 AHEAD = 5
 """Number of batches to prepare ahead."""
+PROCESSES = 2
+"""Processes that draw lessons for a GPU."""
 THREADS = 3
 """Threads that prepare them: some copy images while another makes sentences."""
 
@@ -95,10 +99,6 @@ class FrameSource:
         return math.floor(steps * self.order.batch_size * self.share + 1e-6)
 
 
-def _nothing(_: Batch) -> dict[str, Tensor]:
-    return {}
-
-
 class BatchLoader:
     """Creates the batch of any step."""
 
@@ -110,7 +110,7 @@ class BatchLoader:
         config: TrainingConfig,
         device: torch.device,
         recovery: FrameSource | None = None,
-        text_tensors: Callable[[Batch], dict[str, Tensor]] = _nothing,
+        model: Model | None = None,
     ) -> None:
         """Store the sources.
 
@@ -121,14 +121,21 @@ class BatchLoader:
             config: Options of the training run.
             device: Device of the batches.
             recovery: Recovery states to mix in, if any.
-            text_tensors: Returns texts and names as tensors for the model.
+            model: Model that converts texts and names to tensors, if any does.
         """
+        self._model = model
+        self._lessons = model.lessons(order.batch_size) if model else None
         self._recovery, self._episodes = recovery, len(frames.episodes)
         self._frames, self._units, self._order = frames, units, order
-        self._config, self._device, self._text_tensors = config, device, text_tensors
+        self._config, self._device = config, device
 
-    def make(self, step: int) -> Batch:
-        """Return the batch of a step."""
+    def make(self, step: int, lesson: Lesson | None = None) -> Batch:
+        """Return the batch of a step.
+
+        Args:
+            step: Number of the step.
+            lesson: The step's lesson, if the model has any; drawn here if None.
+        """
         config = self._config
         batch = self._drawn(step)
         rng = stream("batch", config.seed, step, self._order.rank)
@@ -140,7 +147,11 @@ class BatchLoader:
         if config.augmentation.relational:
             batch = with_places(batch, config.augmentation.relational, rng)
         batch = with_language(batch, config.language, rng)
-        return replace(batch, text_tensors=self._text_tensors(batch))
+        if self._lessons is not None:
+            drawn = lesson or self._lessons.draw(config.seed, step, self._order.rank)
+            batch = replace(batch, lesson=drawn)
+        tensors = self._model.text_tensors(batch) if self._model else {}
+        return replace(batch, text_tensors=tensors)
 
     def _drawn(self, step: int) -> Batch:
         """Return the frames of a step without augmentation."""
@@ -175,21 +186,34 @@ class BatchLoader:
             own = torch.cuda.Stream(self._device)  # type: ignore[no-untyped-call]
             # Frames may still be in a copy to the device.
             own.wait_stream(torch.cuda.default_stream(self._device))
-        with ThreadPoolExecutor(THREADS) as threads:
-            steps = iter(range(first, last))
-            jobs = (threads.submit(self._made, step, own) for step in steps)
+        steps = range(first, last)
+        with (
+            closing(self._lesson_of_each(steps)) as lessons,
+            ThreadPoolExecutor(THREADS) as threads,
+        ):
+            jobs = (
+                threads.submit(self._made, step, lesson, own)
+                for step, lesson in zip(steps, lessons, strict=True)
+            )
             try:
                 yield self._batches(jobs, deque(islice(jobs, AHEAD)))
             finally:
                 threads.shutdown(wait=False, cancel_futures=True)
 
-    def _made(self, step: int, own: Any) -> tuple[Batch, Any]:
+    def _lesson_of_each(self, steps: Sequence[int]) -> Generator[Lesson | None]:
+        if self._lessons is None or self._device.type == "cpu":
+            yield from repeat(None, len(steps))
+        else:
+            how = self._config.seed, self._order.rank, PROCESSES
+            yield from self._lessons.ahead(steps, *how)
+
+    def _made(self, step: int, lesson: Lesson | None, own: Any) -> tuple[Batch, Any]:
         """Return a batch and, on a GPU, the event after its last operation."""
         if own is None:
-            return self.make(step), None
+            return self.make(step, lesson), None
         torch.cuda.set_device(self._device)
         with torch.cuda.stream(own):
-            return self.make(step), own.record_event()
+            return self.make(step, lesson), own.record_event()
 
     def _batches(self, jobs: Iterator[Made], waiting: deque[Made]) -> Iterator[Batch]:
         while waiting:

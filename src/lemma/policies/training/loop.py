@@ -160,7 +160,7 @@ class _Run:
             config,
             self.team.device,
             self._mixed_in(),
-            trainer.model.text_tensors,
+            trainer.model,
         )
         feed = BatchLoader(source, self.units, *how)
         first = trainer.step

@@ -78,7 +78,7 @@ def _measure_steps(
         order,
         config,
         team.device,
-        text_tensors=trainer.model.text_tensors,
+        model=trainer.model,
     )
     frames = 0
     with feed.ahead(0, first + steps) as batches:

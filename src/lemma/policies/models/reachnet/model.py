@@ -55,11 +55,13 @@ from lemma.policies.models.reachnet.scene_table import (
 from lemma.policies.models.reachnet.understanding import (
     WHY,
     goal_numbers,
-    lesson,
+    lessons_of,
     pairs_of,
+    reader_tensors,
     understood,
 )
 from lemma.policies.text.encoder import Sentences
+from lemma.policies.text.lessons import Lessons
 from lemma.tasks.subtask import GroundedSubTask, Primitive, SubTask
 
 _REACH_POINTS = 128
@@ -137,7 +139,11 @@ class ReachNet(MapModel):
 
     def text_tensors(self, batch: Batch) -> dict[str, Tensor]:
         """Return the goals and the words of the instructions as numbers."""
-        return lesson(self.reader, batch, self.device)
+        return reader_tensors(self.reader, batch, self.device)
+
+    def lessons(self, frames: int) -> Lessons | None:
+        """Return the draws of sentences for the reader alone."""
+        return lessons_of(self.config.reader, self.entities, frames)
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
         """Return the terms of the loss."""

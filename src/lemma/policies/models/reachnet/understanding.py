@@ -1,58 +1,72 @@
-"""Training sentences of ReachNet's reader, and its readings as plain data."""
+"""Sentences and goals as numbers, and readings as plain data."""
 
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from lemma.core.seeding import stream
 from lemma.policies.batch import NOBODY, Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import Understanding
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
+    ReaderConfig,
     Readings,
 )
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS
-from lemma.policies.text.orders import draw_order
-from lemma.policies.text.refusals import REASONS, refusal_bank
+from lemma.policies.text.encoder import sentences_of
+from lemma.policies.text.lessons import Lessons
+from lemma.policies.text.refusals import REASONS
 from lemma.tasks.language.template import GoalPairs
 
 WHY = tuple(REASONS.values())
 """Explanations of refusals by the index of the reason."""
 
 
-def lesson(reader: GoalReader, batch: Batch, device: torch.device) -> dict[str, Tensor]:
-    """Return training sentences with their goals and reasons for refusal.
-
-    After the instructions of the batch come sentences for the reader alone: those to
-    refuse, orders that look similar, and orders with other goals.
+def lessons_of(
+    config: ReaderConfig, entities: EntitySet, frames: int
+) -> Lessons | None:
+    """Return the draws of sentences for a reader alone; None if it has none.
 
     Args:
-        reader: Its options determine whether it refuses, and the number of these
-            sentences.
-        batch: Batch with labels.
+        config: Options of the reader.
+        entities: Entities, in the order of their numbers.
+        frames: Number of frames in a batch.
+    """
+    similar, orders = (
+        math.ceil(share * frames) for share in (config.lessons, config.orders)
+    )
+    if not config.refuses or config.guesses or similar + orders == 0:
+        return None
+    return Lessons(config.max_words, entities, similar, orders)
+
+
+def reader_tensors(
+    reader: GoalReader, batch: Batch, device: torch.device
+) -> dict[str, Tensor]:
+    """Return the instructions of a batch, and then its lesson, as numbers.
+
+    Args:
+        reader: Reader of the sentences.
+        batch: Batch with labels, with or without a lesson of M sentences.
         device: Device of the result.
 
     Returns:
-        ``words`` of B + M sentences, ``goal``, (B + M, conjuncts, 2), and ``reasons``,
-        (B + M,), -1 for orders.
+        ``words`` of B + M sentences; ``goal``, (B + M, conjuncts, 2); and ``reasons``
+        for refusal, (B + M,), -1 for orders.
     """
     assert batch.labels is not None
-    reasons = [-1] * len(batch)
-    said = [*zip(batch.instructions, batch.labels.goals, reasons, strict=True)]
-    if reader.config.refuses and not reader.config.guesses:
-        # Seeded by the instructions, which are a function of the step.
-        rng, bank = stream("refusals", *batch.instructions), refusal_bank()
-        count = math.ceil(reader.config.lessons * len(batch))
-        said += [bank.draw(rng) for _ in range(count)]
-        count = math.ceil(reader.config.orders * len(batch))
-        said += [(*draw_order(rng), -1) for _ in range(count)]
-    texts, goals, reasons = map(list, zip(*said, strict=True))
+    rows = [reader.sentences.rows(batch.instructions)]
+    goals, reasons = [*batch.labels.goals], [-1] * len(batch)
+    if batch.lesson is not None:
+        rows.append(batch.lesson.rows)
+        goals += batch.lesson.goals
+        reasons += batch.lesson.reasons
     return {
+        "words": torch.stack(sentences_of(np.concatenate(rows), device)),
         "goal": goal_numbers(goals, device, batch.entities),
-        "words": torch.stack(reader.sentences.read(texts, device)),
         "reasons": torch.tensor(reasons, device=device),
     }
 
