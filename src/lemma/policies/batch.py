@@ -12,6 +12,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.robot_names import robot_number
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import PolicyInput
+from lemma.policies.layers import sent
 from lemma.policies.text.lessons import Lesson
 from lemma.scene.raster import Raster
 from lemma.tasks.language.bank import robot_phrases_in_order, sub_instruction
@@ -28,7 +29,10 @@ MAX_PAST = 12
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """B frames of R robots, with labels in training. Tensors are on one device."""
+    """B frames of R robots, with labels in training.
+
+    Tensors are on one device, but see :meth:`lemma.policies.frames.Frames.batch`.
+    """
 
     rgb: Tensor
     """(B, rows, columns, 3) uint8."""
@@ -168,17 +172,10 @@ def moved(batch: Batch, device: torch.device) -> Batch:
 
     def there(part: Any) -> dict[str, Any]:
         values = {f.name: getattr(part, f.name) for f in fields(part)}
-        return {n: _sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
+        return {n: sent(v, device) for n, v in values.items() if isinstance(v, Tensor)}
 
     labels = batch.labels and replace(batch.labels, **there(batch.labels))
     return replace(batch, **there(batch), labels=labels)
-
-
-def _sent(tensor: Tensor, device: torch.device) -> Tensor:
-    """Copy a tensor to a device asynchronously."""
-    if tensor.device.type == device.type:
-        return tensor
-    return tensor.pin_memory().to(device, non_blocking=True)
 
 
 def with_sub_instructions(batch: Batch) -> Batch:

@@ -21,10 +21,10 @@ from lemma.policies.batch import (
     Batch,
     Labels,
     decision_numbers,
-    moved,
     with_sub_instructions,
 )
 from lemma.policies.entities import BENCHMARK, EntitySet, poses_of
+from lemma.policies.layers import sent
 from lemma.robots.ur.arms import ARMS
 from lemma.scene.raster import UNIT_M
 
@@ -44,11 +44,11 @@ class Frames:
         device: torch.device | str = "cpu",
         entities: EntitySet = BENCHMARK,
     ) -> None:
-        """Move maps and labels to a device; they take 5 bytes per cell.
+        """Move maps to a device; they take 5 bytes per cell.
 
         Args:
             maps: Maps with the columns of :meth:`load`.
-            device: Device of the tensors.
+            device: Device of the maps. All other tensors stay on the CPU.
             entities: Entities, in the order of their numbers.
 
         Raises:
@@ -117,7 +117,7 @@ class Frames:
             folder: The rendered keyframes.
             split: Name of a split.
             tasks: Names of tasks; all if empty.
-            device: Device of the tensors.
+            device: Device of the maps. All other tensors stay on the CPU.
             entities: Entities, in the order of their numbers.
             shared: Whether processes of this machine share the maps; see
                 :class:`~lemma.dataset.rendered.dataset.MapsInMemory`.
@@ -168,12 +168,15 @@ class Frames:
     ) -> Batch:
         """Return frames with labels and the recorded instructions.
 
+        Only the maps are on a GPU: augmentation and sentences are made from all other
+        tensors, which :func:`lemma.policies.batch.moved` sends afterwards.
+
         Args:
             indices: Indices of the frames, (B,), in any order.
-            device: Device of the batch; that of the frames if None.
+            device: Device of the maps; that of the frames if None.
         """
         device = device or self.device
-        rows = torch.as_tensor(indices, device=self.device)
+        rows = torch.as_tensor(indices)
         listed = rows.tolist()
         # Send heights as 16-bit integers: float32 has twice as many bytes.
         rgb = _picked(self.rgb, rows, device)
@@ -183,7 +186,7 @@ class Frames:
         tensors = {name: tensor[rows] for name, tensor in self._tensors.items()}
         seen: dict[str, Any] = {n: tensors.pop(n) for n in (*_SEEN, "past")}
         lists = {name: [v[i] for i in listed] for name, v in self._lists.items()}
-        batch = with_sub_instructions(
+        return with_sub_instructions(
             Batch(
                 rgb=rgb,
                 height_m=torch.where(coverage, height_m, 0.0),
@@ -196,16 +199,16 @@ class Frames:
                 labels=Labels(**tensors, **lists),  # type: ignore[arg-type]
             )
         )
-        return moved(batch, device)
 
-    def _tensor(self, values: Any, dtype: torch.dtype) -> Tensor:
-        return torch.as_tensor(np.asarray(values)).to(self.device, dtype)
+    @staticmethod
+    def _tensor(values: Any, dtype: torch.dtype) -> Tensor:
+        return torch.as_tensor(np.asarray(values)).to(dtype)
 
 
 def _picked(images: Tensor, rows: Tensor, device: torch.device) -> Tensor:
-    """Return some images on a device."""
+    """Return some images, (B, ...), on a device; ``rows`` are on the CPU."""
     if images.device.type == device.type:
-        return images.index_select(0, rows)
+        return images.index_select(0, sent(rows, device))
     # Pinned memory is kept for later batches. New memory for each batch would take
     # several times as long as the copy.
     shape, pinned = (len(rows), *images.shape[1:]), device.type == "cuda"

@@ -59,6 +59,16 @@ def _constant(values: tuple[Any, ...], _: str, device: torch.device) -> Tensor:
         return torch.tensor(values, device=device)
 
 
+def sent(tensor: Tensor, device: torch.device) -> Tensor:
+    """Copy a tensor to a device without waiting for it.
+
+    Memory that is not pinned would be copied only after the GPU's work so far.
+    """
+    if tensor.device.type == device.type:
+        return tensor
+    return tensor.pin_memory().to(device, non_blocking=True)
+
+
 class Network(nn.Module):
     """A part of a model whose inputs and outputs are tensors only, to be compiled."""
 

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
 from lemma.policies.frames import Frames
 from lemma.policies.models.catalog import MODELS
-from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.training import loop as loop
 from lemma.policies.training.config import (
     DEFAULTS,
@@ -29,7 +27,7 @@ from lemma.policies.training.config import (
     TrainingConfig,
 )
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import AHEAD, BatchLoader, Sampler
+from lemma.policies.training.loader import BatchLoader, Sampler
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import training_units
 from lemma.policies.training.speed import measure_training
@@ -42,29 +40,6 @@ ALONE = ProcessGroup(0, 1, torch.device("cpu"))
 tiny_model.register()
 # As in the processes that are started here; more would only wait for each other.
 torch.set_num_threads(1)
-
-
-def test_a_batch_is_wholly_on_the_device_that_is_asked_for(
-    data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The stand-in for a GPU has no memory to copy from.
-    monkeypatch.setattr(torch.Tensor, "pin_memory", lambda tensor: tensor)
-    frames = Frames.load(data)
-    here = frames.batch([0, 2])
-    there = frames.batch([0, 2], torch.device("meta"))
-    assert here.labels is not None
-    assert there.labels is not None
-    seen = 0
-    for one, other in ((here, there), (here.labels, there.labels)):
-        for name, value in vars(one).items():
-            if isinstance(value, torch.Tensor):
-                moved = getattr(other, name)
-                assert (value.device.type, moved.device.type) == ("cpu", "meta")
-                assert (value.shape, value.dtype) == (moved.shape, moved.dtype)
-                seen += 1
-            elif name != "labels":
-                assert value == getattr(other, name)
-    assert seen > 10
 
 
 def test_speed_is_measured_and_nothing_is_written(data: Path, tmp_path: Path) -> None:
@@ -246,34 +221,6 @@ def test_every_unit_is_drawn_once_in_each_pass() -> None:
     assert Sampler(14, 8, 4).step(0) != drawn[:8]
     # A step is a function of its number, in whatever order steps are asked for.
     assert [Sampler(14, 8, 3).step(n) for n in (6, 0)] == [drawn[48:56], drawn[:8]]
-
-
-def test_batches_are_the_same_ahead_and_at_once(
-    data: Path, tmp_path: Path, switches_at_once: None
-) -> None:
-    frames, options = Frames.load(data), config(data, tmp_path).resolved()
-    units = training_units(Tiny(TinyConfig()), frames, options)
-    order, reader = Sampler(len(units), 4, 0), ReachNet()
-    feed = BatchLoader(frames, units, order, options, ALONE.device, model=reader)
-    with feed.ahead(5, 17) as batches:
-        ahead = list(batches)
-    assert len(ahead) == 12 > AHEAD
-    for step, batch in zip(range(5, 17), ahead, strict=True):
-        again = feed.make(step)
-        assert len(batch.text_tensors["goal"]) == 4 + 2 + 8
-        assert torch.equal(batch.rgb, again.rgb)
-        assert batch.instructions == again.instructions
-        for name, tensor in again.text_tensors.items():
-            assert torch.equal(batch.text_tensors[name], tensor)
-
-
-@pytest.fixture
-def switches_at_once() -> Iterator[None]:
-    """Let threads take turns as often as possible, which shows what they share."""
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    yield
-    sys.setswitchinterval(usual)
 
 
 def test_what_goes_wrong_in_the_feed_is_raised_in_the_loop(

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from lemma.core.arguments import Count, Depth, Share, Width
 from lemma.policies.entities import EntitySet
-from lemma.policies.layers import TransformerLayer, sinusoids
+from lemma.policies.layers import TransformerLayer, sent, sinusoids
 from lemma.policies.text.words import PADDING, UNKNOWN, Vocabulary, word_vectors
 from lemma.scene.objects.cube import CUBE
 from lemma.scene.objects.entity import entity_named
@@ -68,7 +68,7 @@ def sentences_of(rows: NDArray[np.int32], device: torch.device) -> Sentences:
         # On a GPU a fixed shape is faster than short sentences.
         longest = max(1, int((numbers[..., 0] != PADDING).sum(1).max()))
         numbers = numbers[:, :longest]
-    return Sentences(*numbers.to(device).unbind(2))
+    return Sentences(*sent(numbers, device).unbind(2))
 
 
 Texts = Sequence[str] | Sentences

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import Batch, with_sub_instructions
+from lemma.policies.layers import sent
 from lemma.policies.models.grid import wrapped
 from lemma.policies.models.reachnet.scene_table import turned_numbers
 from lemma.policies.training.config import Augmentation
@@ -24,17 +25,17 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
     """Return a randomly augmented batch; instructions are drawn elsewhere.
 
     Args:
-        batch: Batch with labels, on any device.
+        batch: Batch with labels; only its maps may be on a GPU.
         options: Changes to draw.
         rng: Random generator.
     """
     assert batch.labels is not None
-    episodes, numbers = np.unique(batch.labels.episode.cpu(), return_inverse=True)
+    episodes, numbers = np.unique(batch.labels.episode, return_inverse=True)
     count, device = len(episodes), batch.rgb.device
 
     def each(values: Any) -> Tensor:
         """Expand values of the episodes to values of the frames."""
-        return torch.from_numpy(np.asarray(values)[numbers]).to(device)
+        return torch.from_numpy(np.asarray(values)[numbers])
 
     if options.palette:
         colors = len(batch.entities.colors)
@@ -50,10 +51,11 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
     generator.manual_seed(int(rng.integers(2**62)))
     if options.brightness or options.pixel_noise:
         amounts = rng.uniform(-1.0, 1.0, (count, 3)).astype(np.float32)
-        batch = _noisy_colors(batch, options, each(amounts), generator)
+        amounts_there = sent(each(amounts), device)
+        batch = _noisy_colors(batch, options, amounts_there, generator)
     if options.height_noise_m:
         amount = rng.uniform(0.0, options.height_noise_m, count).astype(np.float32)
-        batch = _noisy_heights(batch, each(amount), generator)
+        batch = _noisy_heights(batch, sent(each(amount), device), generator)
     if options.dropouts:
         batch = _with_holes(batch, options.dropouts, rng)
     return with_sub_instructions(batch)
@@ -67,7 +69,7 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     covered.
 
     Args:
-        batch: Batch with labels.
+        batch: Batch with labels; only its maps may be on a GPU.
         shift: Shift along rows and columns in cells, (B, 2) int64.
         turned: Whether each frame is turned, (B,) bool.
     """
@@ -75,11 +77,6 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     assert labels is not None
     robots = labels.bases.shape[1]
     swapped = turned & (robots == 2)
-    rows, rows_seen = _sources(raster.rows, shift[:, 0], turned)
-    columns, columns_seen = _sources(raster.columns, shift[:, 1], turned)
-    frames = torch.arange(len(batch), device=rows.device)[:, None, None]
-    cells = (frames, rows[:, :, None], columns[:, None, :])
-    seen = rows_seen[:, :, None] & columns_seen[:, None, :]
     sign = torch.where(turned, -1.0, 1.0)
     # Row numbers increase towards -y.
     offset = torch.stack([shift[:, 1], -shift[:, 0]], 1) * raster.cell_m
@@ -106,14 +103,27 @@ def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
         ],
     )
     return replace(
-        batch,
-        rgb=batch.rgb[cells] * seen[..., None],
-        height_m=batch.height_m[cells] * seen,
-        coverage=batch.coverage[cells] & seen,
+        _with_moved_maps(batch, shift, turned),
         joints=_swapped(batch.joints, swapped),
         opening_m=_swapped(batch.opening_m, swapped),
         past=_renumbered(batch.past, swapped, robots),
         labels=moved,
+    )
+
+
+def _with_moved_maps(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
+    raster, device = batch.raster, batch.rgb.device
+    shift, turned = sent(shift, device), sent(turned, device)
+    rows, rows_seen = _sources(raster.rows, shift[:, 0], turned)
+    columns, columns_seen = _sources(raster.columns, shift[:, 1], turned)
+    frames = torch.arange(len(batch), device=device)[:, None, None]
+    cells = (frames, rows[:, :, None], columns[:, None, :])
+    seen = rows_seen[:, :, None] & columns_seen[:, None, :]
+    return replace(
+        batch,
+        rgb=batch.rgb[cells] * seen[..., None],
+        height_m=batch.height_m[cells] * seen,
+        coverage=batch.coverage[cells] & seen,
     )
 
 
@@ -187,7 +197,7 @@ def _with_holes(batch: Batch, most: int, rng: np.random.Generator) -> Batch:
     for size, start, side in zip((height, width), starts, sides, strict=True):
         past = np.arange(size) - start[..., None]
         inside.append((past >= 0) & (past < side[..., None]))
-    rows, columns = (torch.from_numpy(one).to(device).float() for one in inside)
+    rows, columns = (sent(torch.from_numpy(one), device).float() for one in inside)
     kept = batch.coverage & (rows.transpose(1, 2) @ columns == 0)
     return replace(
         batch,

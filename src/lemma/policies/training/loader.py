@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch
+from lemma.policies.batch import Batch, moved
 from lemma.policies.frames import Frames
 from lemma.policies.models.base import Model
 from lemma.policies.text.instructions import (
@@ -151,7 +151,7 @@ class BatchLoader:
             drawn = lesson or self._lessons.draw(config.seed, step, self._order.rank)
             batch = replace(batch, lesson=drawn)
         tensors = self._model.text_tensors(batch) if self._model else {}
-        return replace(batch, text_tensors=tensors)
+        return moved(replace(batch, text_tensors=tensors), self._device)
 
     def _drawn(self, step: int) -> Batch:
         """Return the frames of a step without augmentation."""

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from lemma.policies.batch import NOBODY, Batch, Labels
-from lemma.policies.entities import EntitySet, traits_of
+from lemma.policies.entities import EntitySet
+from lemma.policies.layers import constant, sent
 from lemma.scene.objects.entity import HAND
 from lemma.scene.objects.kind import Part
 from lemma.scene.objects.palette import OBJECT_COLORS, STICK, TABLE
@@ -30,7 +31,7 @@ def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
     """Return a batch with permuted colors and unchanged instructions.
 
     Args:
-        batch: Batch with labels.
+        batch: Batch with labels; only its maps may be on a GPU.
         permutation: Index into ``batch.entities.colors`` of the new color by index of
             the old one, (B, colors) int64.
     """
@@ -61,12 +62,11 @@ def permute_colors(batch: Batch, permutation: Tensor) -> Batch:
 
 def _entity_tables(permutation: Tensor, entities: EntitySet) -> Tensor:
     """Return the new numbers of entities, regions and no entity, (B, places + 1)."""
-    device = permutation.device
-    alike = torch.tensor(entities.colored_as, device=device)
+    alike = torch.tensor(entities.colored_as)
     color = permutation[:, list(entities.color_numbers)]
     numbers = alike.expand(len(color), -1, -1).gather(2, color[..., None]).squeeze(2)
     regions = range(len(entities), len(entities.places))
-    rest = torch.tensor([*regions, NOBODY], device=device)
+    rest = torch.tensor([*regions, NOBODY])
     return torch.cat([numbers, rest.expand(len(permutation), -1)], 1)
 
 
@@ -115,20 +115,22 @@ def _painted(batch: Batch, labels: Labels, permutation: Tensor) -> Tensor:
     entities = batch.entities
     colored = _colored(entities)
     own = [entities.color_numbers[number] for number in colored]
-    objects = labels.objects[:, colored]
+    device = batch.rgb.device
+    palette = torch.tensor([OBJECT_COLORS[name][:3] for name in entities.colors])
+    source = sent(palette[own][None, :, None], device)
+    target = sent(palette[permutation[:, own]][:, :, None], device)
+    objects = sent(labels.objects[:, colored], device)
     rows, columns = _windows(batch, objects)
-    frames = torch.arange(len(batch), device=rows.device).view(-1, 1, 1)
+    frames = torch.arange(len(batch), device=device).view(-1, 1, 1)
     cells = (frames, rows, columns)
     old, seen_m = batch.rgb[cells].float() / 255.0, batch.height_m[cells]
-    palette = old.new_tensor([OBJECT_COLORS[name][:3] for name in entities.colors])
-    source = palette[own][None, :, None]
-    target = palette[permutation[:, own]][:, :, None]
     # The brightness relative to the palette color is the lighting of a cell.
     light = (old * source).sum(-1, keepdim=True) / (source * source).sum(-1, True)
     above_m = seen_m - objects[..., 2:3]
     inside = _footprints(batch, objects, rows, columns) & batch.coverage[cells]
-    traits = traits_of(entities, old.device)
-    top_m, height_m = traits.top_m[colored, None], traits.height_m[colored, None]
+    kinds = [entities.kinds[number] for number in colored]
+    top_m = constant(tuple((kind.top_m,) for kind in kinds), device)
+    height_m = constant(tuple((kind.height_m,) for kind in kinds), device)
     inside &= above_m < top_m + _HEIGHT_TOLERANCE_M
     # A dark white object is as grey as the table, so use the height as well.
     high = (above_m > top_m - height_m / 2) & (height_m > 2 * _HEIGHT_TOLERANCE_M)
@@ -203,12 +205,12 @@ def _shows_own_color(
     """
     colors = entities.colors
     palette = (*(OBJECT_COLORS[name] for name in colors), STICK, TABLE)
-    references = rgb.new_tensor([color[:3] for color in palette])
+    references = constant(tuple(tuple(color[:3]) for color in palette), rgb.device)
     directions = torch.nn.functional.normalize(references, dim=-1)
     nearest = (rgb @ directions.T).argmax(-1)
     table = len(palette) - 1
     numbers = [entities.color_numbers[number] for number in _colored(entities)]
-    own = torch.tensor(numbers, device=rgb.device)[:, None]
+    own = constant(tuple(numbers), rgb.device)[:, None]
     shows = nearest == own
     if _WHITE in colors:
         white = colors.index(_WHITE)

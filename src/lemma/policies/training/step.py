@@ -14,7 +14,7 @@ from torch.nn.parallel import DistributedDataParallel
 from lemma.core.errors import InvalidConfigError, WeightsError
 from lemma.core.files import write_whole
 from lemma.core.seeding import stream
-from lemma.policies.batch import Batch
+from lemma.policies.batch import Batch, moved
 from lemma.policies.frames import Frames
 from lemma.policies.layers import Network
 from lemma.policies.models.base import Model
@@ -260,6 +260,7 @@ def validate(
         if places := config.augmentation.relational:
             batch = with_places(batch, places, stream("places", start))
         batch = with_language(batch, config.language, stream("control", start))
+        batch = moved(batch, team.device)
         with torch.inference_mode(), autocast(config, team.device):
             scores = model.score(batch)
         for name, values in scores.items():

@@ -292,11 +292,9 @@ class ReachNet(MapModel):
                 rows = zip(decision.tolist(), grounded, reasons.tolist(), strict=True)
                 for row, poses, reason in rows:
                     subtask = subtask_of(row, batch.entities)
-                    done = poses or subtask.primitive is Primitive.STOP
+                    ok = poses or subtask.primitive is Primitive.STOP
                     why = (
-                        ""
-                        if done
-                        else f"Objects that it needs are not seen: {subtask}."
+                        "" if ok else f"Objects that it needs are not seen: {subtask}."
                     )
                     if reason >= 0:
                         why = WHY[reason]

@@ -10,6 +10,7 @@ from torch import Tensor
 from lemma.policies.batch import NOBODY, Batch
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.interfaces import Understanding
+from lemma.policies.layers import sent
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
@@ -67,7 +68,7 @@ def reader_tensors(
     return {
         "words": torch.stack(sentences_of(np.concatenate(rows), device)),
         "goal": goal_numbers(goals, device, batch.entities),
-        "reasons": torch.tensor(reasons, device=device),
+        "reasons": sent(torch.tensor(reasons), device),
     }
 
 
@@ -106,7 +107,7 @@ def goal_numbers(
         ]
         for pairs in goals
     ]
-    return torch.tensor(numbers, device=device)
+    return sent(torch.tensor(numbers), device)
 
 
 def pairs_of(rows: Sequence[Sequence[int]], names: Sequence[str]) -> GoalPairs:

@@ -19,6 +19,7 @@ from lemma.env.view import View
 from lemma.policies.batch import NOBODY, Batch, Labels
 from lemma.policies.entities import EntitySet
 from lemma.policies.interfaces import Decision, PolicyInput
+from lemma.policies.layers import sent
 from lemma.policies.models.base import MODELS, MapConfig, MapModel
 from lemma.policies.models.reachnet.goal_reader import ReaderConfig
 from lemma.policies.models.reachnet.marks import Marks
@@ -141,7 +142,7 @@ class TeamReachNet(MapModel):
         return {
             "words": torch.stack(words),
             **{f"wanted_{name}": tensor for name, tensor in wanted._asdict().items()},
-            "move": torch.tensor(moves, device=device),
+            "move": sent(torch.tensor(moves), device),
             "robot": numbers_by_color(teams, device),
             "color": named_colors(labels.robot_colors, device),
             "weak": weak_hands(labels.hands, teams, device),

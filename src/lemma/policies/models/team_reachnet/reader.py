@@ -17,6 +17,7 @@ from lemma.core.arguments import known
 from lemma.core.robot_names import robot_number
 from lemma.policies.batch import NOBODY
 from lemma.policies.entities import EntitySet
+from lemma.policies.layers import sent
 from lemma.policies.models.reachnet.goal_reader import GoalReader, ReaderConfig
 from lemma.policies.models.team_reachnet.places import BY_ONE, BY_ORDER, places_in
 from lemma.policies.models.team_reachnet.table import TeamTable
@@ -142,7 +143,7 @@ def wanted_of(
         roles.append(held)
         excluded.append(robot)
     found = (bottoms, kinds, roles, excluded)
-    return Wanted(*(torch.tensor(numbers, device=device) for numbers in found))
+    return Wanted(*(sent(torch.tensor(numbers), device) for numbers in found))
 
 
 class TeamReader(GoalReader):

@@ -21,7 +21,7 @@ from lemma.policies.batch import (
     decision_numbers,
 )
 from lemma.policies.entities import EntitySet
-from lemma.policies.layers import constant
+from lemma.policies.layers import constant, sent
 from lemma.policies.models.reachnet.scene_table import FAR_M
 from lemma.robots.hand import STANDARD
 from lemma.scene.objects.entity import SHARED, pair_regions
@@ -65,7 +65,7 @@ def numbers_by_color(teams: Sequence[Sequence[str]], device: torch.device) -> Te
         [team.index(color) if color in team else -1 for color in ROBOT_COLORS]
         for team in teams
     ]
-    return torch.tensor(rows, device=device)
+    return sent(torch.tensor(rows), device)
 
 
 def named_colors(named: Sequence[Sequence[str]], device: torch.device) -> Tensor:
@@ -81,7 +81,7 @@ def named_colors(named: Sequence[Sequence[str]], device: torch.device) -> Tensor
         for own, color in zip(distinct(colors), colors, strict=True):
             row[ROBOT_COLORS.index(own)] = ROBOT_COLORS.index(color)
         rows.append(row)
-    return torch.tensor(rows, device=device)
+    return sent(torch.tensor(rows), device)
 
 
 def by_color(rows: Tensor, numbers: Tensor, fill: float = 0.0) -> Tensor:
@@ -144,7 +144,7 @@ def weak_hands(
     for names, team in zip(hands, teams, strict=True):
         held = dict(zip(team, names, strict=False))
         rows.append([held.get(color, STANDARD) != STANDARD for color in ROBOT_COLORS])
-    return torch.tensor(rows, device=device)
+    return sent(torch.tensor(rows), device)
 
 
 def move_numbers(
