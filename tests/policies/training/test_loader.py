@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from lemma.policies.frames import Frames
 from lemma.policies.models.reachnet.model import ReachNet
 from lemma.policies.training.config import Augmentation
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import AHEAD, BatchLoader, Sampler
+from lemma.policies.training.loader import AHEAD, PROCESSES, BatchLoader, Sampler
 from lemma.policies.training.run import training_units
 
 ALONE = ProcessGroup(0, 1, torch.device("cpu"))
@@ -111,3 +112,22 @@ def switches_at_once() -> Iterator[None]:
     sys.setswitchinterval(1e-6)
     yield
     sys.setswitchinterval(usual)
+
+
+def test_other_processes_draw_lessons_for_a_gpu_and_end_with_the_feed(
+    data: Path, tmp_path: Path, gpu: torch.device
+) -> None:
+    frames, options = Frames.load(data), config(data, tmp_path).resolved()
+    units = training_units(Tiny(TinyConfig()), frames, options)
+    order, reader = Sampler(len(units), 4, 0), ReachNet()
+    here, there = (
+        BatchLoader(frames, units, order, options, device, model=reader)
+        for device in (ALONE.device, gpu)
+    )
+    before = set(active_children())
+    with there.ahead(0, 100) as batches:
+        batch = next(batches)
+        assert len(set(active_children()) - before) == PROCESSES
+    assert set(active_children()) == before
+    usual = here.make(0).text_tensors
+    assert all(torch.equal(usual[n], t) for n, t in batch.text_tensors.items())
