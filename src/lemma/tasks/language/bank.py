@@ -193,6 +193,7 @@ def robot_phrases(robots: Sequence[RobotPlacement]) -> tuple[str, ...]:
     return tuple(names)
 
 
+@cache
 def robot_phrases_in_order(colors: tuple[str, ...]) -> tuple[str, ...]:
     """Return :func:`robot_phrases` of a team with known order and unknown positions.
 
