@@ -57,12 +57,19 @@ def where(row: Row) -> Iterator[str]:
             yield "elsewhere" if is_seen(instance, x, y) else "hidden table"
 
 
+def counted(path: Path) -> Counter[str]:
+    """Return the number of sub-tasks of each column in a file of lines."""
+    lines = (row for row in read_lines(path) if row["instruction_kind"] == "high_level")
+    found = Counter(column for row in lines for column in where(row))
+    found["missed"] = sum(found[column] for column in COLUMNS[2:])
+    return found
+
+
 def is_seen(instance: Instance, x: float, y: float) -> bool:
     """Return whether the first map of an instance shows the table at a place."""
     view = CameraRig().look(Episode(instance).simulation.scene)
-    row = int(RASTER.rows / 2 - y / RASTER.cell_m)
-    column = int(RASTER.columns / 2 + x / RASTER.cell_m)
-    rows, columns = (slice(max(0, i - NEAR), i + NEAR + 1) for i in (row, column))
+    cell = RASTER.pixel_from_world(x, y)
+    rows, columns = (slice(max(0, i - NEAR), i + NEAR + 1) for i in cell)
     return bool(view.coverage[rows, columns].mean() >= FEWEST)
 
 
@@ -72,18 +79,21 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     folder: Path = parser.parse_args(words).results
     rows = []
-    for path in sorted(folder.glob("*/seed-*.jsonl.xz")):
-        found = Counter(
-            column
-            for line in read_lines(path)
-            if line["instruction_kind"] == "high_level"
-            for column in where(line)
-        )
-        found["missed"] = sum(found[column] for column in COLUMNS[2:])
-        if found["missed"]:
-            name = f"{path.parent.name}, {path.name.split('.')[0]}"
-            rows.append((name, *(str(found[column]) for column in COLUMNS)))
-    print(Table(("row", *COLUMNS), tuple(rows), labels=1).markdown(), end="")
+    for row in sorted({path.parent for path in folder.glob("*/seed-*.jsonl.xz")}):
+        whole: Counter[str] = Counter()
+        paths = sorted(row.glob("seed-*.jsonl.xz"))
+        for path in paths:
+            found = counted(path)
+            rows.append((f"{row.name}, {path.name.split('.')[0]}", found))
+            whole += found
+        if len(paths) > 1:
+            rows.append((f"{row.name}, all seeds", whole))
+    shown = (
+        (name, *(str(found[column]) for column in COLUMNS))
+        for name, found in rows
+        if found["missed"]
+    )
+    print(Table(("row", *COLUMNS), tuple(shown), labels=1).markdown(), end="")
 
 
 if __name__ == "__main__":
