@@ -40,7 +40,7 @@ LONGER_FILES = (
     *("evaluation/report/tables.py", "policies/models/cliport/model.py"),
     *("policies/models/cliport/networks.py", "policies/models/episodic_transformer.py"),
     *("policies/models/reachnet/grounder.py", "policies/models/reachnet/planner.py"),
-    *("policies/models/reachnet/utility.py", "core/workers/pool.py"),
+    "core/workers/pool.py",
     *("env/test_bad_input.py", "serve/test_sockets.py"),
     "evaluation/run/test_fault_isolation.py",
 )

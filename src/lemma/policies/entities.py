@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lemma.core.errors import DatasetError, InvalidConfigError
+from lemma.policies.layers import taken_as_constant
 from lemma.scene.objects.entity import (
     ENTITIES,
     SHARED,
@@ -168,9 +169,14 @@ class Traits:
     """Distance of its center from its contact with the stick [m]; 0 without one."""
 
 
-@lru_cache(maxsize=32)
+@taken_as_constant
 def traits_of(entities: EntitySet, device: torch.device) -> Traits:
     """Return the properties of the kinds of some entities, on a device."""
+    return _traits_of(entities, device)
+
+
+@lru_cache(maxsize=32)
+def _traits_of(entities: EntitySet, device: torch.device) -> Traits:
     kinds = entities.kinds
     grasps = [kind.grasp for kind in kinds]
     supports = [kind.support_m for kind in kinds]

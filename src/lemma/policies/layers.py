@@ -7,13 +7,15 @@ decision would depend on the other samples of its batch.
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lemma.core.errors import InvalidConfigError
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 GROUP_CHANNELS = 8
 """Number of channels per group of the normalisation."""
@@ -38,6 +40,19 @@ def norm(channels: int) -> nn.GroupNorm:
     return GroupNorm(max(1, channels // GROUP_CHANNELS), channels)
 
 
+def taken_as_constant(function: _Function) -> _Function:
+    """Mark a function that the compiler calls once, whose result it takes as constant.
+
+    The compiler does not see caches, and would compile what is in them.
+
+    Args:
+        function: Function of constants.
+    """
+    found: _Function = torch.compiler.assume_constant_result(function)  # type: ignore[no-untyped-call]
+    return found
+
+
+@taken_as_constant
 def constant(values: tuple[Any, ...], device: torch.device) -> Tensor:
     """Return constants as a tensor, cached per device.
 
@@ -70,7 +85,7 @@ def sent(tensor: Tensor, device: torch.device) -> Tensor:
 
 
 class Network(nn.Module):
-    """A part of a model whose inputs and outputs are tensors only, to be compiled."""
+    """A part of a model that is compiled: it reads tensors, but no texts or names."""
 
 
 class ResidualBlock(Network):

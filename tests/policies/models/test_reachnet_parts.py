@@ -10,6 +10,7 @@ from torch import Tensor
 from lemma.core.poses import Pose2
 from lemma.policies.batch import PRIMITIVES
 from lemma.policies.entities import BENCHMARK
+from lemma.policies.models.reachnet.drags import SIGNS, TRAVELS_M, TURNS_RAD
 from lemma.policies.models.reachnet.goal_reader import (
     GoalReader,
     ReaderConfig,
@@ -33,12 +34,7 @@ from lemma.policies.models.reachnet.scene_table import (
     turned_numbers,
 )
 from lemma.policies.models.reachnet.understanding import goal_numbers
-from lemma.policies.models.reachnet.utility import (
-    SIGNS,
-    TRAVELS_M,
-    TURNS_RAD,
-    DragUtility,
-)
+from lemma.policies.models.reachnet.utility import DragUtility
 from lemma.policies.text.refusals import REASON_NAMES
 from lemma.scene.objects.cube import CUBE_EDGE_M
 from lemma.scene.objects.entity import ENTITIES

@@ -6,13 +6,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 
 import torch
 
 from lemma.policies.models.base import Model
 from lemma.policies.training.config import TrainingConfig
 from lemma.policies.training.distributed import ProcessGroup, processes
-from lemma.policies.training.loader import BatchLoader, Sampler
+from lemma.policies.training.loader import AHEAD, BatchLoader, Sampler
 from lemma.policies.training.logging import gpu_memory_gb
 from lemma.policies.training.run import (
     Data,
@@ -81,13 +82,14 @@ def _measure_steps(
         model=trainer.model,
     )
     frames = 0
-    with feed.ahead(0, first + steps) as batches:
+    # The processes of the feed end while its last batches wait, which takes a second.
+    with feed.ahead(0, first + steps + AHEAD + 1) as batches:
         for _ in range(first):
             trainer.train(next(batches), 0.0)
         _wait(team.device)
         start = time.perf_counter()
         with _busy(team.device) as busy:
-            for batch in batches:
+            for batch in islice(batches, steps):
                 trainer.train(batch, 0.0)
                 frames += len(batch)
             _wait(team.device)

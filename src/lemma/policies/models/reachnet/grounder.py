@@ -15,20 +15,18 @@ from torch.nn import functional as F
 from lemma.policies.batch import NOBODY, PRIMITIVES, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, traits_of
 from lemma.policies.layers import constant
+from lemma.policies.models.reachnet.drags import (
+    SIGNS,
+    TRAVELS_M,
+    TURNS_RAD,
+    straight,
+)
 from lemma.policies.models.reachnet.scene_table import (
     HALF_M,
     SceneTable,
     stick_distance,
 )
-from lemma.policies.models.reachnet.utility import (
-    SIGNS,
-    TRAVELS_M,
-    TURNS_RAD,
-    CubeSpots,
-    DragUtility,
-    StickSpots,
-    straight,
-)
+from lemma.policies.models.reachnet.utility import CubeSpots, DragUtility, StickSpots
 from lemma.robots.gripper import FINGER_CENTER_M, FINGER_DISC_M
 from lemma.scene.raster import Raster
 

@@ -61,7 +61,7 @@ class PerceptionConfig:
     from the image."""
 
 
-class _Trunk(Network):
+class _Trunk(nn.Module):
     """The U-Net, from an image to features of its cells and the coarsest features."""
 
     def __init__(self, config: PerceptionConfig) -> None:
@@ -95,7 +95,7 @@ class _Trunk(Network):
         return x, coarse
 
 
-class Perception(nn.Module):
+class Perception(Network):
     """A network from maps to scene tables."""
 
     def __init__(

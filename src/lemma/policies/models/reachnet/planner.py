@@ -18,8 +18,9 @@ from lemma.core.arguments import Depth, Share, Width
 from lemma.policies.batch import NOBODY, PRIMITIVES, STOP, decision_numbers
 from lemma.policies.entities import BENCHMARK, EntitySet
 from lemma.policies.layers import constant, drawn, mlp, planner_layers
+from lemma.policies.models.reachnet.drags import SIGNS
 from lemma.policies.models.reachnet.scene_table import CONJUNCTS, SceneTable
-from lemma.policies.models.reachnet.utility import SIGNS, DragUtility
+from lemma.policies.models.reachnet.utility import DragUtility
 from lemma.tasks.subtask import SubTask
 
 _TOOL_ROWS = ("prehook", "hook", "prepoke", "poke")
