@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from lemma.core.errors import SamplingError
@@ -40,6 +40,9 @@ TEAM = (
     RobotPlacement("ur5", "red", Pose2(-0.9, 0.0, 0.0)),
     RobotPlacement("ur10", "white", Pose2(0.9, 0.0, math.pi)),
 )
+ROUNDED_M = 0.05e-3 * (math.sqrt(2.0) + HANDLE_LENGTH_M)
+"""Poses are rounded to 0.1 mm and 0.1 mrad after they are checked, so a point on the
+stick may be this far beyond a bound that has a margin of 20 mm or more."""
 SEEDS = st.integers(0, 10_000)
 KINDS = st.sampled_from([CUBE, PAD, STICK_KIND])
 ON_TABLE = st.builds(
@@ -58,10 +61,10 @@ def distance(robot: int, pose: Pose2) -> float:
     return TEAM[robot].base.distance(pose)
 
 
-def works(robot: int, pose: Pose2) -> bool:
+def works(robot: int, pose: Pose2, within_m: float = 0.03) -> bool:
     """Whether a robot surely works there, written out."""
     reach, away = reach_of(TEAM[robot].arm), distance(robot, pose)
-    return reach.inner_m + 0.03 <= away <= reach.travel_m - 0.03
+    return reach.inner_m + within_m <= away <= reach.travel_m - within_m
 
 
 def cannot(robot: int, kind: ObjectKind, pose: Pose2, by_m: float = OUTSIDE_M) -> bool:
@@ -136,21 +139,22 @@ def test_what_is_put_lies_in_its_zone_and_has_a_color_of_its_own(seed: int) -> N
     places = [placed.pose for placed in table.objects]
     owners = ((0, CUBE), (1, CUBE), (1, PAD))
     for (owner, kind), place in zip(owners, places, strict=False):
-        assert works(owner, place)
-        assert cannot(1 - owner, kind, place)
+        assert works(owner, place, 0.03 - ROUNDED_M)
+        assert cannot(1 - owner, kind, place, OUTSIDE_M - ROUNDED_M)
     for i, a in enumerate(places):
         for b in places[i + 1 :]:
             assert a.distance(b) >= 0.125
 
 
 @given(SEEDS)
+@example(1924)
 @settings(max_examples=20)
 def test_no_point_of_the_stick_is_another_robots(seed: int) -> None:
     for which in (0, 1):
         table = placer(seed)
         assert table.stick(which) == STICK
         pose = table.objects[0].pose
-        assert works(which, grasp_on_stick(pose))
+        assert works(which, grasp_on_stick(pose), 0.03 - ROUNDED_M)
         assert heading_from(TEAM[which].base, pose) <= LARGEST_HEADING_RAD
         half = STICK_SECTION_M / 2
         handle = [(HANDLE_LENGTH_M * k / 30, 0.0) for k in range(31)]

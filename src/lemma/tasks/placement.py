@@ -372,6 +372,8 @@ class ObjectPlacer:
         for _ in range(_ROUNDS):
             x, y, yaw = (self.rng.uniform(-h, h, _DRAWS) for h in half)
             for i in np.flatnonzero(suits(x, y, yaw))[:_CHECKS]:
+                # Rounding may pass a bound of ``suits``; its margins are 200 times as
+                # wide, and another pose would change instances.
                 pose = Pose2(float(x[i]), float(y[i]), float(yaw[i])).rounded()
                 if self._is_clear(kind, pose) and (check is None or check(pose)):
                     return pose
