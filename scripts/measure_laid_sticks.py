@@ -44,7 +44,7 @@ def laid(row: Row) -> Iterator[tuple[str, str]]:
         ):
             yield primitive, COLUMNS[0]
             yield from ((primitive, how) for how in missed(subtask, poses[name]))
-        # Whatever was picked, or dragged, may lie elsewhere now.
+        # An object that was picked or dragged may lie elsewhere now.
         poses.pop(subtask["pick"], None)
         if primitive not in USES:
             poses.pop(name, None)
