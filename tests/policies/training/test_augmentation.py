@@ -33,6 +33,7 @@ EACH = {
     "palette": replace(OFF, palette=True),
     "translate": replace(OFF, translate_cells=6),
     "turn": replace(OFF, turn=True),
+    "rotate": replace(OFF, rotate_deg=30.0),
     "brightness": replace(OFF, brightness=0.15),
     "pixel_noise": replace(OFF, pixel_noise=0.03),
     "height_noise": replace(OFF, height_noise_m=0.003),

@@ -62,7 +62,8 @@ def test_the_feed_reads_nothing_back_from_the_gpu_and_sends_it_everything(
     data: Path, tmp_path: Path, gpu: torch.device, recolored: bool
 ) -> None:
     frames, options = Frames.load(data), config(data, tmp_path).resolved()
-    options = replace(options, augmentation=Augmentation(palette=recolored))
+    augmentation = Augmentation(palette=recolored, rotate_deg=20.0)
+    options = replace(options, augmentation=augmentation)
     units = training_units(Tiny(TinyConfig()), frames, options)
     order = Sampler(len(units), 4, 0)
     with OneDevice():

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from lemma.policies.batch import Batch, with_sub_instructions
+from lemma.policies.batch import NOBODY, Batch, with_sub_instructions
 from lemma.policies.layers import sent
 from lemma.policies.models.grid import wrapped
 from lemma.policies.models.reachnet.scene_table import turned_numbers
@@ -19,6 +20,8 @@ from lemma.policies.training.recoloring import permute_colors
 
 HOLE_CELLS = (2, 8)
 """Smallest and largest side of a hole in the images."""
+_EDGE_M = 0.06
+"""Smallest distance of a motion and its objects from the edges of a rotated map."""
 
 
 def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Batch:
@@ -42,6 +45,9 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
         batch = permute_colors(
             batch, each(rng.permuted(np.tile(np.arange(colors), (count, 1)), axis=1))
         )
+    if options.rotate_deg:
+        drawn = np.radians(options.rotate_deg) * rng.uniform(-1.0, 1.0, count)
+        batch = rotate(batch, _kept_on_the_map(batch, each(drawn.astype(np.float32))))
     cells = options.translate_cells
     if options.turn or cells:
         shift = rng.integers(-cells, cells + 1, (count, 2))
@@ -59,6 +65,92 @@ def augment(batch: Batch, options: Augmentation, rng: np.random.Generator) -> Ba
     if options.dropouts:
         batch = _with_holes(batch, options.dropouts, rng)
     return with_sub_instructions(batch)
+
+
+def rotate(batch: Batch, angle: Tensor) -> Batch:
+    """Return a batch with scenes rotated about the middle of the map.
+
+    Cells are copied from the nearest ones. Cells that enter at the border are not
+    covered.
+
+    Args:
+        batch: Batch with labels; only its maps may be on a GPU.
+        angle: Rotation of each frame, counter-clockwise, (B,) [rad].
+    """
+    labels = batch.labels
+    assert labels is not None
+    w, x, y, z = labels.objects[..., 3:].unbind(-1)
+    cos, sin = (0.5 * angle[:, None]).cos(), (0.5 * angle[:, None]).sin()
+    # A rotation about z, (cos, 0, 0, sin), times the quaternion.
+    after = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
+    xy = _rotated(labels.objects[..., :2], angle)
+    objects = torch.cat([xy, labels.objects[..., 2:3], torch.stack(after, -1)], -1)
+
+    def flat(poses: Tensor) -> Tensor:
+        """Return poses (B, ..., 3) in the plane after the rotation."""
+        yaw = poses[..., 2] + angle.view(-1, *(1,) * (poses.ndim - 2))
+        return torch.cat([_rotated(poses[..., :2], angle), wrapped(yaw)[..., None]], -1)
+
+    rotated = replace(
+        labels,
+        pick_pose=flat(labels.pick_pose),
+        place_pose=flat(labels.place_pose),
+        objects=objects,
+        bases=flat(labels.bases),
+    )
+    return replace(_with_rotated_maps(batch, angle), labels=rotated)
+
+
+def _kept_on_the_map(batch: Batch, angle: Tensor) -> Tensor:
+    """Return the angles, zero for episodes that a rotation would spoil.
+
+    A gap stays parallel to y. The next motion and its objects stay on the map, also
+    after a shift.
+    """
+    labels = batch.labels
+    assert labels is not None
+    # Of regions and of no entity the last row is taken, which is NaN.
+    places = F.pad(labels.objects[..., :2], (0, 0, 0, 1), value=torch.nan)
+    named, none = labels.decision[:, 2:], places.shape[1] - 1
+    named = torch.where(named == NOBODY, none, named).clamp(max=none)
+    objects = places.gather(1, named[..., None].expand(-1, -1, 2))
+    ends = torch.stack([labels.pick_pose, labels.place_pose], 1)[..., :2]
+    most = 0.5 * torch.tensor(batch.raster.size_m) - _EDGE_M
+    # NaN is never outside.
+    outside = _rotated(torch.cat([objects, ends], 1), angle).abs() > most
+    spoiled = outside.flatten(1).any(1) | labels.gap_m.isfinite().any(1)
+    spoiled = torch.isin(labels.episode, labels.episode[spoiled])
+    return torch.where(spoiled, 0.0, angle)
+
+
+def _rotated(xy: Tensor, angle: Tensor) -> Tensor:
+    """Return positions (B, ..., 2) after a rotation of each frame, (B,) [rad]."""
+    angle = angle.view(-1, *(1,) * (xy.ndim - 2))
+    x, y = xy.unbind(-1)
+    cos, sin = angle.cos(), angle.sin()
+    return torch.stack([cos * x - sin * y, sin * x + cos * y], -1)
+
+
+def _with_rotated_maps(batch: Batch, angle: Tensor) -> Batch:
+    raster, device = batch.raster, batch.rgb.device
+    # In cells, with y upwards.
+    column = torch.arange(raster.columns, device=device) + 0.5 - raster.columns / 2
+    row = raster.rows / 2 - torch.arange(raster.rows, device=device) - 0.5
+    grid = torch.stack(torch.meshgrid(column, row, indexing="xy"), -1)
+    source = _rotated(grid.expand(len(batch), -1, -1, -1), sent(-angle, device))
+    columns = torch.floor(source[..., 0] + raster.columns / 2).long()
+    rows = torch.floor(raster.rows / 2 - source[..., 1]).long()
+    seen = (rows >= 0) & (rows < raster.rows) & (columns >= 0)
+    seen &= columns < raster.columns
+    frames = torch.arange(len(batch), device=device)[:, None, None]
+    rows, columns = rows.clamp(0, raster.rows - 1), columns.clamp(0, raster.columns - 1)
+    cells = frames, rows, columns
+    return replace(
+        batch,
+        rgb=batch.rgb[cells] * seen[..., None],
+        height_m=batch.height_m[cells] * seen,
+        coverage=batch.coverage[cells] & seen,
+    )
 
 
 def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:

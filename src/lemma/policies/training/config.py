@@ -56,6 +56,9 @@ class Augmentation:
     """Largest shift of the scene, in cells of the map; 0 for none."""
     turn: bool = True
     """Turn the scene by half a turn at random; the robots then exchange numbers."""
+    rotate_deg: Level = 0.0
+    """Largest rotation of the scene about the middle of the map [deg]; 0 for none.
+    Scenes with a gap, and those whose next motion would leave the map, stay."""
     brightness: Share = 0.15
     """Largest change of brightness and of contrast, as a share; 0 for none."""
     pixel_noise: Level = 0.03
