@@ -5,13 +5,15 @@
 Of all rows with high-level instructions and usual starts, it counts the sub-tasks
 ``prehook`` and ``prepoke`` that the expert has, too, and whose object still lies where
 the instance has it. A stick is missed if the object is not in front of it. It is only
-turned if another yaw at the same position of the gripper would do.
+turned if another yaw at the same position of the gripper would do. It is oblique if the
+expert lays it more than OBLIQUE_DEG from the axis along which most are laid: y for
+``prehook``, x for ``prepoke``.
 """
 
 import argparse
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from lemma.core.poses import Pose2
@@ -25,13 +27,40 @@ from lemma.tasks.suite import load_instance
 
 RESULTS = Path(__file__).parents[1] / "results"
 USES = {"prehook": Primitive.HOOK, "prepoke": Primitive.POKE}
-COLUMNS = ("laid", "missed", "only turned")
+COLUMNS = ("laid", "missed", "only turned", "oblique", "oblique and missed")
+EXPERT = "oracle/seed-0.jsonl.xz"
+USUAL_YAW = {"prehook": 0.5 * math.pi, "prepoke": 0.0}
+OBLIQUE_DEG = 40.0
 YAWS = 720
 """Number of yaws to try."""
 
+Episode = tuple[str, int]
+"""Task and index of an instance."""
 
-def laid(row: Row) -> Iterator[tuple[str, str]]:
-    """Yield primitive and column of each sub-task of an episode that lays the stick."""
+
+def oblique_ones(path: Path) -> set[Episode]:
+    """Return the instances in which the expert first lays the stick obliquely."""
+    found = set()
+    for row in read_lines(path):
+        lays = (one for one in row["subtasks"] if one["primitive"] in USES)
+        first = next(lays, None)
+        if first is not None:
+            yaw = first["grounded"]["place"][2]
+            usual = USUAL_YAW[first["primitive"]]
+            off = abs(math.remainder(yaw - usual, math.pi))
+            if math.degrees(off) > OBLIQUE_DEG:
+                found.add((row["task"], row["index"]))
+    return found
+
+
+def laid(row: Row, oblique: Collection[Episode] = ()) -> Iterator[tuple[str, str]]:
+    """Yield primitive and column of each sub-task of an episode that lays the stick.
+
+    Args:
+        row: The episode.
+        oblique: Instances with an oblique stick.
+    """
+    is_oblique = (row["task"], row["index"]) in oblique
     placed = load_instance(row["task"], row["split"], row["index"]).scene.objects
     poses = {one.name: one.pose for one in placed}
     for subtask in row["subtasks"]:
@@ -42,8 +71,10 @@ def laid(row: Row) -> Iterator[tuple[str, str]]:
             and subtask["outcome"] == Outcome.SUCCESS
             and not subtask["expert"]["departure"]
         ):
-            yield primitive, COLUMNS[0]
-            yield from ((primitive, how) for how in missed(subtask, poses[name]))
+            found = [COLUMNS[0], *missed(subtask, poses[name])]
+            if is_oblique:
+                found += [COLUMNS[3], *([COLUMNS[4]] if COLUMNS[1] in found else [])]
+            yield from ((primitive, column) for column in found)
         # An object that was picked or dragged may lie elsewhere now.
         poses.pop(subtask["pick"], None)
         if primitive not in USES:
@@ -70,11 +101,12 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--results", type=Path, default=RESULTS)
     folder: Path = parser.parse_args(words).results
     found: dict[tuple[str, str], Counter[str]] = {}
+    oblique = oblique_ones(folder / EXPERT)
     for path in sorted(folder.glob("*/seed-*.jsonl.xz")):
         for row in read_lines(path):
             usual = not (row["perturb_start"] or row.get("control"))
             if usual and row["instruction_kind"] == "high_level":
-                for primitive, column in laid(row):
+                for primitive, column in laid(row, oblique):
                     key = path.parent.name, primitive
                     found.setdefault(key, Counter())[column] += 1
     shown = (

@@ -38,7 +38,7 @@ def test_one_robot_can_drag_the_cube() -> None:
     ("off", "columns"),
     [
         (Pose2(0.0, 0.0), COLUMNS[:1]),
-        (Pose2(0.0, 0.0, 0.3), COLUMNS),
+        (Pose2(0.0, 0.0, 0.3), COLUMNS[:3]),
         (Pose2(0.1, 0.0), COLUMNS[:2]),
         (Pose2(0.0, 0.3), COLUMNS[:2]),
     ],
@@ -48,6 +48,12 @@ def test_a_missed_stick_is_only_turned_if_another_yaw_would_do(
 ) -> None:
     place = DRAGS[0].prepared @ off
     assert [column for _, column in laid(episode(place))] == [*columns]
+
+
+def test_sticks_of_oblique_instances_count_twice() -> None:
+    beside = episode(DRAGS[0].prepared @ Pose2(0.0, 0.3))
+    found = [column for _, column in laid(beside, {("hook", 0)})]
+    assert found == [*COLUMNS[:2], *COLUMNS[3:]]
 
 
 def test_a_sub_task_that_the_expert_has_not_does_not_count() -> None:
