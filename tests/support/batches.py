@@ -122,6 +122,15 @@ def drawn_batch(frames: int, seed: int = 0, stop_last: bool = True) -> Batch:
     )
 
 
+def batch_for(model: str) -> Batch:
+    """Return a drawn batch of four frames with the labels that a model needs."""
+    batch = drawn_batch(4)
+    if model == "keypose":
+        key = {"pick_pose": torch.zeros(4, 3), "kind_and_height": torch.zeros(4, 2)}
+        batch = replace(batch, labels=replace(labels_of(batch), **key))
+    return batch
+
+
 def labels_of(batch: Batch) -> Labels:
     """Return the labels of a batch that has some."""
     assert batch.labels is not None

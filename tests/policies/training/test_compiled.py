@@ -1,11 +1,10 @@
 """The parts of a model that a GPU runs compiled: they are whole, and equal the rest."""
 
-from dataclasses import replace
 from functools import partialmethod
 
 import pytest
 import torch
-from batches import drawn_batch
+from batches import batch_for
 from tiers import slow_but
 from tiny_models import OPTIONS
 
@@ -26,12 +25,7 @@ def test_compiled_parts_are_traced_whole_and_compute_the_same(
         # Losses reach perception through the candidates.
         name, options = "reachnet", {**OPTIONS["reachnet"], "reach": "demonstrations"}
     model = make_model(name, options).train()
-    batch = drawn_batch(4)
-    assert batch.labels is not None
-    if name == "keypose":
-        pose, last = torch.zeros(4, 3), torch.zeros(4, 2)
-        labels = replace(batch.labels, pick_pose=pose, kind_and_height=last)
-        batch = replace(batch, labels=labels)
+    batch = batch_for(name)
     usual = _losses_and_gradients(model, batch)
     # The tracer of a GPU, without its code generator. It raises where it must stop.
     traced = partialmethod(Network.compile, backend="aot_eager", fullgraph=True)

@@ -1,7 +1,7 @@
 """The feed of batches: the same for every device, in whatever order it is made."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing import active_children
 from pathlib import Path
@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 import torch
+from operations import Operations
 from painted_keyframes import painted, painted_recovery  # noqa: F401 - fixtures
 from tiny_model import Tiny, TinyConfig, config
-from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from lemma.policies.batch import Batch, moved
@@ -32,21 +32,13 @@ class OnCpu(torch.Generator):
         return super().__new__(cls)
 
 
-class OneDevice(TorchDispatchMode):
+class OneDevice(Operations):
     """Fails where an operation has tensors of two devices, which a GPU waits for."""
 
-    def __torch_dispatch__(
-        self,
-        func: Any,
-        types: Sequence[type],
-        args: tuple[Any, ...] = (),
-        kwargs: Mapping[str, Any] | None = None,
-    ) -> Any:
-        name = func.overloadpacket.__name__
+    def look(self, name: str, args: tuple[Any, ...]) -> None:
         tensors = (one for one in tree_leaves(args) if isinstance(one, torch.Tensor))
         devices = {one.device.type for one in tensors if one.ndim}
         assert len(devices) <= 1 or name in ("_to_copy", "copy_"), name
-        return func(*args, **(kwargs or {}))
 
 
 @pytest.fixture

@@ -70,7 +70,7 @@ def test_scenes_with_a_gap_or_a_motion_off_the_map_stay(batch: Batch) -> None:
     frame = int(acts.nonzero()[0])
     objects[frame, labels.decision[frame, 2], :2] = corner - 0.1
     new = replace(labels, gap_m=gap_m, place_pose=place, objects=objects)
-    options = replace(Augmentation.none(), rotate_deg=90.0)
+    options = replace(Augmentation.none(), rotate_deg=89.0)
     for draw in range(5):
         found = augment(replace(batch, labels=new), options, stream("rotate", draw))
         off = (labels_of(found).bases - labels.bases)[..., :2].abs()
@@ -79,3 +79,13 @@ def test_scenes_with_a_gap_or_a_motion_off_the_map_stay(batch: Batch) -> None:
         assert len(spoiled) == 3
         assert stays.tolist() == [int(one) in spoiled for one in labels.episode]
         assert torch.equal(found.rgb[stays], batch.rgb[stays])
+
+
+def test_the_first_robot_of_a_pair_stays_at_minus_x(batch: Batch) -> None:
+    options, turned = replace(Augmentation.none(), rotate_deg=180.0), 0
+    for draw in range(5):
+        found = augment(batch, options, stream("pair", draw))
+        bases, before = labels_of(found).bases, labels_of(batch).bases
+        assert (bases[:, 0, 0] < bases[:, 1, 0]).all()
+        turned += int((bases[:, 0, 1] != before[:, 0, 1]).sum())
+    assert turned > len(batch)

@@ -79,12 +79,10 @@ def rotate(batch: Batch, angle: Tensor) -> Batch:
     """
     labels = batch.labels
     assert labels is not None
-    w, x, y, z = labels.objects[..., 3:].unbind(-1)
-    cos, sin = (0.5 * angle[:, None]).cos(), (0.5 * angle[:, None]).sin()
-    # A rotation about z, (cos, 0, 0, sin), times the quaternion.
-    after = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
-    xy = _rotated(labels.objects[..., :2], angle)
-    objects = torch.cat([xy, labels.objects[..., 2:3], torch.stack(after, -1)], -1)
+    xy, z, quaternion = labels.objects.split([2, 1, 4], -1)
+    half = 0.5 * angle[:, None]
+    spun = _spun(quaternion, half.cos(), half.sin())
+    objects = torch.cat([_rotated(xy, angle), z, spun], -1)
 
     def flat(poses: Tensor) -> Tensor:
         """Return poses (B, ..., 3) in the plane after the rotation."""
@@ -104,8 +102,8 @@ def rotate(batch: Batch, angle: Tensor) -> Batch:
 def _kept_on_the_map(batch: Batch, angle: Tensor) -> Tensor:
     """Return the angles, zero for episodes that a rotation would spoil.
 
-    A gap stays parallel to y. The next motion and its objects stay on the map, also
-    after a shift.
+    A gap stays parallel to y, and the first robot of a pair at -x of the second. The
+    next motion and its objects stay on the map, also after a shift.
     """
     labels = batch.labels
     assert labels is not None
@@ -119,6 +117,9 @@ def _kept_on_the_map(batch: Batch, angle: Tensor) -> Tensor:
     # NaN is never outside.
     outside = _rotated(torch.cat([objects, ends], 1), angle).abs() > most
     spoiled = outside.flatten(1).any(1) | labels.gap_m.isfinite().any(1)
+    if labels.bases.shape[1] == 2:
+        first_x, second_x = _rotated(labels.bases[..., :2], angle)[..., 0].unbind(1)
+        spoiled |= first_x >= second_x
     spoiled = torch.isin(labels.episode, labels.episode[spoiled])
     return torch.where(spoiled, 0.0, angle)
 
@@ -142,15 +143,26 @@ def _with_rotated_maps(batch: Batch, angle: Tensor) -> Batch:
     rows = torch.floor(raster.rows / 2 - source[..., 1]).long()
     seen = (rows >= 0) & (rows < raster.rows) & (columns >= 0)
     seen &= columns < raster.columns
-    frames = torch.arange(len(batch), device=device)[:, None, None]
     rows, columns = rows.clamp(0, raster.rows - 1), columns.clamp(0, raster.columns - 1)
-    cells = frames, rows, columns
+    return _copied(batch, rows, columns, seen)
+
+
+def _copied(batch: Batch, rows: Tensor, columns: Tensor, seen: Tensor) -> Batch:
+    """Return a batch whose maps are copied from other cells, where those exist."""
+    cells = torch.arange(len(batch), device=rows.device)[:, None, None], rows, columns
     return replace(
         batch,
         rgb=batch.rgb[cells] * seen[..., None],
         height_m=batch.height_m[cells] * seen,
         coverage=batch.coverage[cells] & seen,
     )
+
+
+def _spun(quaternion: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    """Return quaternions wxyz after a rotation about z, (cos, 0, 0, sin)."""
+    w, x, y, z = quaternion.unbind(-1)
+    parts = [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
+    return torch.stack(parts, -1)
 
 
 def move(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
@@ -208,15 +220,8 @@ def _with_moved_maps(batch: Batch, shift: Tensor, turned: Tensor) -> Batch:
     shift, turned = sent(shift, device), sent(turned, device)
     rows, rows_seen = _sources(raster.rows, shift[:, 0], turned)
     columns, columns_seen = _sources(raster.columns, shift[:, 1], turned)
-    frames = torch.arange(len(batch), device=device)[:, None, None]
-    cells = (frames, rows[:, :, None], columns[:, None, :])
     seen = rows_seen[:, :, None] & columns_seen[:, None, :]
-    return replace(
-        batch,
-        rgb=batch.rgb[cells] * seen[..., None],
-        height_m=batch.height_m[cells] * seen,
-        coverage=batch.coverage[cells] & seen,
-    )
+    return _copied(batch, rows[:, :, None], columns[:, None, :], seen)
 
 
 def _sources(size: int, shift: Tensor, turned: Tensor) -> tuple[Tensor, Tensor]:
@@ -231,12 +236,10 @@ def _moved_objects(
     objects: Tensor, sign: Tensor, offset: Tensor, turned: Tensor
 ) -> Tensor:
     """Return positions and quaternions (B, entities, 7) of a moved scene."""
-    xy = objects[..., :2] * sign[:, None, None] + offset[:, None]
-    w, x, y, z = objects[..., 3:].unbind(-1)
-    # Half a turn about z, (0, 0, 0, 1), times the quaternion.
-    after = torch.stack([-z, -y, x, w], -1)
-    quaternion = torch.where(turned[:, None, None], after, objects[..., 3:])
-    return torch.cat([xy, objects[..., 2:3], quaternion], -1)
+    xy, z, quaternion = objects.split([2, 1, 4], -1)
+    sin = turned[:, None].float()
+    xy = xy * sign[:, None, None] + offset[:, None]
+    return torch.cat([xy, z, _spun(quaternion, 1.0 - sin, sin)], -1)
 
 
 def _swapped(values: Tensor, turned: Tensor) -> Tensor:

@@ -58,7 +58,8 @@ class Augmentation:
     """Turn the scene by half a turn at random; the robots then exchange numbers."""
     rotate_deg: Level = 0.0
     """Largest rotation of the scene about the middle of the map [deg]; 0 for none.
-    Scenes with a gap, and those whose next motion would leave the map, stay."""
+    Scenes with a gap stay, and so do those whose next motion would leave the map, or
+    in which the robots of a pair would exchange sides."""
     brightness: Share = 0.15
     """Largest change of brightness and of contrast, as a share; 0 for none."""
     pixel_noise: Level = 0.03

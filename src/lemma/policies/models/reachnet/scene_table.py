@@ -16,7 +16,7 @@ from lemma.core.poses import Pose2
 from lemma.policies.batch import NOBODY, Labels
 from lemma.policies.entities import BENCHMARK, EntitySet, Traits, traits_of
 from lemma.policies.interfaces import SeenObject, SeenRobot
-from lemma.policies.layers import constant, taken_as_constant
+from lemma.policies.layers import constant
 from lemma.scene.objects.kind import Part
 from lemma.scene.objects.stick import STICK_KIND
 from lemma.scene.raster import RASTER, Raster
@@ -224,17 +224,13 @@ def true_radii(arms: Tensor, device: torch.device) -> Tensor:
         arms: Numbers of the arm types, (B, R).
         device: Device of the result.
     """
-    return constant(_radii_of_arms(), device)[arms]
-
-
-@taken_as_constant
-def _radii_of_arms() -> tuple[tuple[float, ...], ...]:
     # A late import, because inference does not need the simulator.
     from lemma.robots.reach import reach_of  # noqa: PLC0415
     from lemma.robots.ur.arms import ARMS  # noqa: PLC0415
 
     found = [reach_of(name) for name in ARMS]
-    return tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
+    radii = tuple((r.inner_m, r.travel_m, r.grasp_m) for r in found)
+    return constant(radii, device)[arms]
 
 
 def true_table(
