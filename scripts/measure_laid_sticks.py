@@ -14,6 +14,7 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from itertools import compress
 from pathlib import Path
 
 from lemma.core.poses import Pose2
@@ -60,9 +61,9 @@ def laid(row: Row, oblique: Collection[Episode] = ()) -> Iterator[tuple[str, str
         row: The episode.
         oblique: Instances with an oblique stick.
     """
-    is_oblique = (row["task"], row["index"]) in oblique
     placed = load_instance(row["task"], row["split"], row["index"]).scene.objects
     poses = {one.name: one.pose for one in placed}
+    is_oblique = (row["task"], row["index"]) in oblique
     for subtask in row["subtasks"]:
         primitive, name = subtask["primitive"], subtask["place"]
         if (
@@ -71,28 +72,26 @@ def laid(row: Row, oblique: Collection[Episode] = ()) -> Iterator[tuple[str, str
             and subtask["outcome"] == Outcome.SUCCESS
             and not subtask["expert"]["departure"]
         ):
-            found = [COLUMNS[0], *missed(subtask, poses[name])]
-            if is_oblique:
-                found += [COLUMNS[3], *([COLUMNS[4]] if COLUMNS[1] in found else [])]
-            yield from ((primitive, column) for column in found)
+            is_missed, is_turned = missed(subtask, poses[name])
+            counts = (True, is_missed, is_turned, is_oblique, is_oblique and is_missed)
+            yield from ((primitive, column) for column in compress(COLUMNS, counts))
         # An object that was picked or dragged may lie elsewhere now.
         poses.pop(subtask["pick"], None)
         if primitive not in USES:
             poses.pop(name, None)
 
 
-def missed(subtask: Row, target: Pose2) -> Iterator[str]:
-    """Yield the further columns of a sub-task that lays the stick beside a target."""
+def missed(subtask: Row, target: Pose2) -> tuple[bool, bool]:
+    """Return whether a sub-task lays the stick beside a target, and is only turned."""
     use = USES[subtask["primitive"]]
     x, y, yaw = subtask["grounded"]["place"]
 
     def ready(yaw: float) -> bool:
         return is_prepared(use, stick_in_grasp(Pose2(x, y, yaw)), target)
 
-    if not ready(yaw):
-        yield COLUMNS[1]
-        if any(ready(k * math.tau / YAWS) for k in range(YAWS)):
-            yield COLUMNS[2]
+    if ready(yaw):
+        return False, False
+    return True, any(ready(k * math.tau / YAWS) for k in range(YAWS))
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -4,6 +4,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from tiny_model import NAME, Tiny, TinyConfig, config
 
 from lemma.core.arguments import decode
 from lemma.core.errors import InvalidConfigError
+from lemma.policies.batch import Batch
 from lemma.policies.frames import Frames
 from lemma.policies.models.catalog import MODELS
 from lemma.policies.training import loop as loop
@@ -27,7 +30,7 @@ from lemma.policies.training.config import (
     TrainingConfig,
 )
 from lemma.policies.training.distributed import ProcessGroup
-from lemma.policies.training.loader import BatchLoader, Sampler
+from lemma.policies.training.loader import AHEAD, BatchLoader, Sampler
 from lemma.policies.training.loop import train
 from lemma.policies.training.run import training_units
 from lemma.policies.training.speed import measure_training
@@ -49,6 +52,24 @@ def test_speed_is_measured_and_nothing_is_written(data: Path, tmp_path: Path) ->
     # There is no GPU to be busy.
     assert math.isnan(found["gpu_busy"])
     assert not list(tmp_path.iterdir())
+
+
+def test_the_feed_has_not_ended_when_the_speed_is_measured(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead, left = BatchLoader.ahead, 0
+
+    @contextmanager
+    def watched(feed: BatchLoader, first: int, last: int) -> Iterator[Iterator[Batch]]:
+        nonlocal left
+        with ahead(feed, first, last) as batches:
+            yield batches
+            left = sum(1 for _ in batches)
+
+    monkeypatch.setattr(BatchLoader, "ahead", watched)
+    measure_training(config(data, tmp_path / "none"))
+    # All but these are prepared, and the end of their processes takes a second.
+    assert left > AHEAD
 
 
 def weights(out: Path) -> dict[str, torch.Tensor]:
