@@ -79,10 +79,9 @@ def rotate(batch: Batch, angle: Tensor) -> Batch:
     """
     labels = batch.labels
     assert labels is not None
-    xy, z, quaternion = labels.objects.split([2, 1, 4], -1)
-    half = 0.5 * angle[:, None]
-    spun = _spun(quaternion, half.cos(), half.sin())
-    objects = torch.cat([_rotated(xy, angle), z, spun], -1)
+    half, objects = 0.5 * angle[:, None], labels.objects
+    spun = _spun(objects[..., 3:], half.cos(), half.sin())
+    xy = _rotated(objects[..., :2], angle)
 
     def flat(poses: Tensor) -> Tensor:
         """Return poses (B, ..., 3) in the plane after the rotation."""
@@ -93,7 +92,7 @@ def rotate(batch: Batch, angle: Tensor) -> Batch:
         labels,
         pick_pose=flat(labels.pick_pose),
         place_pose=flat(labels.place_pose),
-        objects=objects,
+        objects=torch.cat([xy, objects[..., 2:3], spun], -1),
         bases=flat(labels.bases),
     )
     return replace(_with_rotated_maps(batch, angle), labels=rotated)
@@ -236,10 +235,10 @@ def _moved_objects(
     objects: Tensor, sign: Tensor, offset: Tensor, turned: Tensor
 ) -> Tensor:
     """Return positions and quaternions (B, entities, 7) of a moved scene."""
-    xy, z, quaternion = objects.split([2, 1, 4], -1)
+    xy = objects[..., :2] * sign[:, None, None] + offset[:, None]
     sin = turned[:, None].float()
-    xy = xy * sign[:, None, None] + offset[:, None]
-    return torch.cat([xy, z, _spun(quaternion, 1.0 - sin, sin)], -1)
+    spun = _spun(objects[..., 3:], 1.0 - sin, sin)
+    return torch.cat([xy, objects[..., 2:3], spun], -1)
 
 
 def _swapped(values: Tensor, turned: Tensor) -> Tensor:
