@@ -5,9 +5,10 @@ import re
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from http.client import HTTPConnection
+from http.client import HTTPConnection, RemoteDisconnected
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from browser import page_in_chromium
@@ -156,3 +157,26 @@ def test_visitor_opens_a_failure(page: FailurePage, tmp_path: Path) -> None:
         inner = "document.querySelector('.replay iframe').contentDocument"
         browser.wait_for(f"{inner}?.body?.dataset.at > 0")
         assert browser.run(f"{inner}.querySelectorAll('h2').length") == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "is_told"),
+    [(BrokenPipeError(), False), (ConnectionResetError(), False), (OSError(), True)],
+)
+def test_a_browser_that_leaves_is_no_error(
+    page: FailurePage,
+    error: OSError,
+    is_told: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def answer(path: str) -> bytes:
+        raise error
+
+    monkeypatch.setattr(page, "answer", answer)
+    there = HTTPConnection(urlsplit(page.address).netloc, timeout=10.0)
+    there.request("GET", "/")
+    with pytest.raises(RemoteDisconnected):
+        there.getresponse()
+    there.close()
+    assert ("Traceback" in capfd.readouterr().err) == is_told

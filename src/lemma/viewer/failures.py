@@ -1,5 +1,6 @@
 """The page of failures: the list of a report, with replays computed on demand."""
 
+import sys
 import threading
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import lru_cache
@@ -7,6 +8,7 @@ from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import AF_INET, AF_INET6
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from lemma.core.errors import InvalidConfigError, LemmaError
@@ -176,6 +178,11 @@ def _listen(
     class Server(ThreadingHTTPServer):
         address_family = AF_INET6 if ":" in host else AF_INET
         daemon_threads = True
+
+        def handle_error(self, request: Any, client_address: Any) -> None:
+            # A browser that leaves before it has read everything is no error.
+            if not isinstance(sys.exc_info()[1], ConnectionError):
+                super().handle_error(request, client_address)
 
     for each in range(port, min(port + _PORTS, 65536)):
         try:
