@@ -227,11 +227,12 @@ def decode(kind: type[T], data: Any) -> T:
         raise InvalidConfigError(f"{_name(kind)}: nested too deeply.") from error
 
 
-def check_ranges(config: Any) -> None:
+def check_ranges(config: Any, prefix: str = "") -> None:
     """Check the fields of a dataclass by their annotations, as :func:`decode` does.
 
     Args:
-        config: The dataclass instance.
+        config: The dataclass instance; its fields may be dataclasses, too.
+        prefix: Text before the names of its fields in messages.
 
     Raises:
         InvalidConfigError: A value has a wrong type or is out of range.
@@ -239,7 +240,9 @@ def check_ranges(config: Any) -> None:
     hints = get_type_hints(type(config), include_extras=True)
     for field in fields(config):
         value = getattr(config, field.name)
+        name = prefix + field.name
         if is_dataclass(value):
+            check_ranges(value, f"{name}.")
             continue
         try:
             msgspec.convert(value, hints[field.name], dec_hook=_path)
@@ -250,7 +253,7 @@ def check_ranges(config: Any) -> None:
             if choices:
                 valid = f"valid: {', '.join(map(str, choices))}"
             raise InvalidConfigError(
-                f"{field.name} cannot be {shown(value)}; {valid}."
+                f"{name} cannot be {shown(value)}; {valid}."
             ) from error
 
 

@@ -15,7 +15,6 @@ from rendered_sets import keyframes_folder
 from tiers import slow_but
 from torch import Tensor
 
-from lemma.core.errors import InvalidConfigError
 from lemma.core.seeding import stream
 from lemma.policies.batch import NOBODY, Batch
 from lemma.policies.frames import Frames
@@ -386,10 +385,3 @@ def test_noise_is_as_strong_as_said() -> None:
     after = augment(batch, replace(OFF, dropouts=4), stream(0))
     missing = (batch.coverage & ~after.coverage).sum((1, 2))
     assert 0 < missing.max() <= 4 * 8 * 8
-
-
-def test_impossible_options_are_refused() -> None:
-    with pytest.raises(InvalidConfigError, match=r"dropouts .* int >= 0"):
-        Augmentation(dropouts=-1)
-    with pytest.raises(InvalidConfigError, match=r"brightness .* float < 1"):
-        Augmentation(brightness=1.0)

@@ -69,9 +69,7 @@ class Augmentation:
     dropouts: Whole = 4
     """Largest number of small holes in the images; 0 for none."""
 
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        check_ranges(self)
+    # `TrainingConfig` checks the numbers, because tyro rewrites errors raised here.
 
     @classmethod
     def none(cls) -> "Augmentation":
