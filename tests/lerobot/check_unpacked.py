@@ -14,7 +14,7 @@ from check_training import CHUNK, STEPS, export, run, small_act
 
 from lemma.core.errors import DatasetError
 from lemma.core.workers.pool import Serial
-from lemma.dataset.lerobot.export import aggregate_in_groups
+from lemma.dataset.lerobot.aggregate import aggregate_in_groups
 from lerobot_train_unpacked import unpack, unpacked
 
 SCRIPT = Path(__file__).parents[2] / "scripts/lerobot_train_unpacked.py"

@@ -126,8 +126,12 @@ def batch_for(model: str) -> Batch:
     """Return a drawn batch of four frames with the labels that a model needs."""
     batch = drawn_batch(4)
     if model == "keypose":
-        key = {"pick_pose": torch.zeros(4, 3), "kind_and_height": torch.zeros(4, 2)}
-        batch = replace(batch, labels=replace(labels_of(batch), **key))
+        labels = replace(
+            labels_of(batch),
+            pick_pose=torch.zeros(4, 3),
+            kind_and_height=torch.zeros(4, 2),
+        )
+        batch = replace(batch, labels=labels)
     return batch
 
 

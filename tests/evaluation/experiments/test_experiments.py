@@ -2,7 +2,6 @@
 
 import copy
 import json
-import math
 import shlex
 from dataclasses import replace
 from functools import wraps
@@ -338,28 +337,6 @@ def test_rows_at_control_level_are_checked_without_lerobot(
         skipped = capsys.readouterr().err
         assert "Skipped act-reach" in skipped
         assert why in " ".join(skipped.split())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_gpu_decides_as_a_cpu(seed: int) -> None:
-    # One row was played on a GPU and the other not, both with one renderer. Their
-    # first decisions are of the same images.
-    names = ("et-cliport-single-step", "et-cliport-multi-step")
-    paths = [EXPERIMENTS[name].summary_path(RESULTS, seed) for name in names]
-    assert [read_result(p).about.get("device") for p in paths] == ["cuda", None]
-    there, here = (list(read_lines(packed_beside(path))) for path in paths)
-    assert len(there) == len(here) == 1920
-    for one, other in zip(there, here, strict=True):
-        assert key_of(one) == key_of(other)
-        first, same = one["subtasks"][0], other["subtasks"][0]
-        for name in ("robot", "primitive", "pick", "place"):
-            assert first[name] == same[name]
-        for end in ("pick", "place"):
-            *xy, yaw = first["grounded"][end]
-            *xy_too, yaw_too = same["grounded"][end]
-            assert math.dist(xy, xy_too) < 1e-5
-            assert abs(yaw - yaw_too) < 1e-4
 
 
 @pytest.mark.slow

@@ -1,10 +1,12 @@
 """Evaluation: the same lines however it was interrupted, and honest about failures."""
 
 import json
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -26,7 +28,7 @@ from lemma.policies import spec as specs
 from lemma.policies.planners.chat import ChatOptions
 from lemma.policies.spec import PolicySpec
 from lemma.policies.weights import load_model
-from lemma.tasks.suite import load_instance
+from lemma.tasks.suite import SUITE, load_instance
 
 TASKS = ("stack", "pass")
 
@@ -206,12 +208,38 @@ def test_a_result_says_that_a_gpu_decided(
     (tmp_path / EPISODES).write_text("{}\n")
     with pytest.raises(DatasetError, match="device"):
         begin(tmp_path, ABOUT, there.about())
-    model, loaded = load_model("reachnet"), []
-    monkeypatch.setattr(specs, "load_model", lambda *a: (loaded.append(a), model)[1])
+    model = load_model("reachnet")
+    monkeypatch.setattr(specs, "load_model", loaded := Mock(return_value=model))
     assert load_policy(there.policy) is model
-    assert loaded == [("reachnet", "cuda")]
+    loaded.assert_called_once_with("reachnet", "cuda")
     assert not torch.backends.cudnn.allow_tf32
     assert torch.backends.cudnn.deterministic
+
+
+@pytest.mark.slow
+@pytest.mark.render
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+@pytest.mark.parametrize(
+    "name", ["episodic-transformer+cliport", "m-cliport", "reachnet"]
+)
+def test_a_gpu_decides_as_a_cpu(tmp_path: Path, name: str) -> None:
+    # First decisions are of the same images; later ones depend on bits of the poses.
+    here, there = (
+        evaluate(
+            order(tmp_path / device, PolicySpec(name, device=device), tasks=SUITE),
+            Serial(),
+        )
+        for device in ("cpu", "cuda")
+    )
+    for one, other in zip(here, there, strict=True):
+        first, same = one["subtasks"][0], other["subtasks"][0]
+        for part in ("robot", "primitive", "pick", "place"):
+            assert first[part] == same[part]
+        for end in ("pick", "place"):
+            *xy, yaw = first["grounded"][end]
+            *xy_too, yaw_too = same["grounded"][end]
+            assert math.dist(xy, xy_too) < 1e-5
+            assert abs(yaw - yaw_too) < 1e-4
 
 
 # No success in n trials: up to z² / (n + z²).

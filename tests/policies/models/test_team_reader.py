@@ -18,6 +18,7 @@ from lemma.core.errors import InvalidConfigError
 from lemma.core.poses import Pose2
 from lemma.policies.batch import Batch
 from lemma.policies.entities import BENCHMARK as ENTITIES
+from lemma.policies.models.team_reachnet.model import TeamReachNet
 from lemma.policies.models.team_reachnet.places import Places, places_in
 from lemma.policies.models.team_reachnet.reader import (
     RULES,
@@ -174,6 +175,7 @@ def test_lessons_change_the_reader_alone(
         monkeypatch.setattr(teach_a_reader, name, value)
     teach_a_reader.main("team-reachnet", str(tmp_path), 1)
     before, after = load_model("team-reachnet"), load_model(str(tmp_path))
+    assert isinstance(before, TeamReachNet)
     # Files of runs have 16 bits.
     changed = {
         name
