@@ -113,6 +113,7 @@ $(WARP_VENV)/stamp: pyproject.toml constraints.txt
 	@$(PYTHON) -m venv --clear $(WARP_VENV)
 	@$(WARP_VENV)/bin/python -m pip install -qq -c constraints.txt -e '.[warp]' \
 		hypothesis pytest 'skrl==2.1.1' 'rsl-rl-lib==5.5.1'
+	@touch $@
 
 # vla-eval is needed for its own test alone (1.3 GB).
 VLA_EVAL_VENV := .venv-vla-eval
