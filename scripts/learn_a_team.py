@@ -274,9 +274,9 @@ def train(learner: Learner, minutes: float, path: Path) -> None:
     _tell(learner, "cloned", start, f"{learner.measure():.4f}", "all", "-")
     optimizer = torch.optim.Adam(learner.weights, RATE, fused=fused)
     begin, first = time.perf_counter(), learner.rounds
-    left = max(1.0, start + budget - begin)
+    left = start + budget - begin
     while time.perf_counter() - begin < left or learner.rounds == first:
-        spent = (time.perf_counter() - begin) / left
+        spent = (time.perf_counter() - begin) / max(1.0, left)
         imitation = IMITATION * max(0.0, 1.0 - spent / IMITATION_SHARE)
         only = learner.rounds - first < CRITIC_ROUNDS
         batch, rate, ended = learner.collect()
