@@ -1,4 +1,5 @@
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from lemma.core.errors import (
     WeightsError,
 )
 from lemma.dataset.files import MANIFEST
-from lemma.policies.training.config import model_options
+from lemma.policies.training.config import Augmentation, model_options
 from lemma.policies.training.distributed import processes
 from lemma.policies.training.loop import TrainingError, train
 from lemma.policies.training.run import TrainingReport
@@ -72,6 +73,18 @@ def test_options_of_the_model_are_checked(data: Path, tmp_path: Path) -> None:
         ({"kinds": ()}, "high_level, human"),
         ({"episodes": 99}, "has 10"),
         ({"device": "cuda"}, "No GPU"),
+        (
+            {"augmentation": Augmentation(dropouts=-1)},
+            r"augmentation\.dropouts .* int >= 0",
+        ),
+        (
+            {"augmentation": Augmentation(brightness=1.0)},
+            r"augmentation\.brightness .* < 1",
+        ),
+        (
+            {"augmentation": Augmentation(rotate_deg=math.nan)},
+            r"augmentation\.rotate_deg .*nan",
+        ),
     ],
 )
 def test_impossible_options_are_refused_with_a_remedy(
