@@ -244,7 +244,7 @@ DEFAULTS: dict[str, Defaults] = {
     # Thirty epochs, as in the paper, and until the score no longer rises.
     "episodic-transformer": Defaults(samples=168_000, batch_size=32),
     "cliport": Defaults(samples=600_000, learning_rate=1e-3),
-    "m-cliport": Defaults(samples=300_000, learning_rate=1e-3),
+    "m-cliport": Defaults(samples=600_000, learning_rate=1e-3),
     "keypose": Defaults(samples=300_000, batch_size=64, learning_rate=1e-3),
     "reachnet": Defaults(samples=300_000, batch_size=128, learning_rate=1e-3),
     "team-reachnet": Defaults(samples=200_000, batch_size=128, learning_rate=1e-3),
