@@ -96,8 +96,9 @@ def test_scores_and_losses_leave_out_what_stop_does_not_say() -> None:
     assert tiny().loss(drawn_batch(1))["robot"].item() == 0.0
 
 
-def test_episodes_in_a_batch_do_not_touch_each_other() -> None:
-    model = tiny().eval()
+@pytest.mark.parametrize("second_look", [False, True])
+def test_episodes_in_a_batch_do_not_touch_each_other(second_look: bool) -> None:
+    model = tiny(second_look=second_look).eval()
     batch = episodes(3, 4, 2)
     with torch.inference_mode():
         together = model(batch)
@@ -106,8 +107,9 @@ def test_episodes_in_a_batch_do_not_touch_each_other() -> None:
         assert torch.allclose(whole[3:7], part, atol=1e-4)
 
 
-def test_a_frame_does_not_see_what_comes_after_it() -> None:
-    model = tiny().eval()
+@pytest.mark.parametrize("second_look", [False, True])
+def test_a_frame_does_not_see_what_comes_after_it(second_look: bool) -> None:
+    model = tiny(second_look=second_look).eval()
     batch = drawn_batch(4)
     with torch.inference_mode():
         whole = model(batch)

@@ -85,6 +85,9 @@ class EpisodicTransformerConfig:
     first_view_only: Share = 0.25
     """Share of training episodes in which all frames show the first view, as in
     multi-step planning."""
+    second_look: bool = False
+    """Whether a frame's token, once it has met the words, attends to the frame's cells.
+    The paper's model does not; it tells what the single token costs."""
 
 
 class FrameNetwork(Network):
@@ -263,6 +266,10 @@ class EpisodicTransformer(MapModel):
             for _ in range(config.layers)
         )
         self.norm_out = nn.LayerNorm(width)
+        if config.second_look:
+            self.cell_token = nn.Linear(config.cell_channels, width)
+            self.cell_places = drawn(config.grid**2, width)
+            self.look = nn.MultiheadAttention(width, config.heads, batch_first=True)
         self.heads = nn.ModuleList(nn.Linear(width, n) for n in sizes)
         self._seen: ViewCache[Tensor] = ViewCache()
 
@@ -354,10 +361,21 @@ class EpisodicTransformer(MapModel):
         for layer in self.layers:
             tokens = layer(tokens, attends)
         at_frames = tokens[:, mask.shape[1] : mask.shape[1] + SLOTS][where]
+        if self.config.second_look:
+            at_frames = at_frames + self._seen_again(at_frames, cells)
         out = self.norm_out(at_frames)
         objects = out + self.frame_skip(cells)
         inputs = (out, out, objects, objects)
         return [head(x) for head, x in zip(self.heads, inputs, strict=True)]
+
+    def _seen_again(self, at_frames: Tensor, cells: Tensor) -> Tensor:
+        """Return what the token of each frame finds in its cells, (B, width)."""
+        each = cells.reshape(len(cells), self.config.cell_channels, -1).mT
+        keys = self.cell_token(each) + self.cell_places
+        found: Tensor = self.look(
+            at_frames.unsqueeze(1), keys, keys, need_weights=False
+        )[0]
+        return found.squeeze(1)
 
     def _first_views(self, cells: Tensor, layout: TokenLayout) -> Tensor:
         counts = torch.bincount(layout.episode, minlength=len(layout.actions))
