@@ -13,7 +13,6 @@ from textwrap import fill
 
 from learning_curves import learning_curves, read_curves
 from lemma.core.tables import Table
-from lemma.evaluation.analysis.failure_causes import Cause
 from lemma.evaluation.experiments.catalog import SUITES
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
@@ -23,6 +22,7 @@ from lemma.evaluation.report.policy_results import (
     shown,
     shown_mean,
 )
+from lemma.evaluation.report.rung_table import command_table, rung_table
 from lemma.evaluation.report.sections import (
     CONTROLS,
     HOW,
@@ -33,11 +33,18 @@ from lemma.evaluation.report.sections import (
     sample_words,
     sections,
 )
-from lemma.evaluation.report.tables import at_a_glance, words
+from lemma.evaluation.report.tables import at_a_glance, cause_shares
 from lemma.tasks.suite import SUITE
 from lemma.viz.pages.report_figures import headline_figure, stages_figure
 from lemma.viz.plots import Figure, standalone
-from trainings import read_trainings, training_table, validation_figure
+from trainings import (
+    Training,
+    read_trainings,
+    seconds_by_name,
+    training_table,
+    undrawn,
+    validation_figure,
+)
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -68,6 +75,7 @@ TITLES = dict(
     )
 )
 BY_TASK = ": losses by task"
+COMMANDS = "Control level, commands"
 LONG = ("Distractors", "Robot types", "Stages", "Where the points are lost")
 """Tables that begin so, or end with :data:`BY_TASK`, are too long for a page."""
 _PAGE = """\
@@ -90,15 +98,19 @@ the policy is told that a robot cannot do a sub-task, and goes on. *Paper*: as p
 there, on Isaac Sim with its own scenes and sentences, so the same row is the same kind
 of policy and not the same experiment. [](evaluation.md) says what a number is.
 
+{names}
+
 ## Which task is hard for whom
 
 High-level instructions, strict.
 
-{tasks}
+{tasks}{rungs}
 ## Why episodes fail
 
 All kinds of instructions and all seeds; strict.
-[](evaluation.md#why-an-episode-failed) defines the causes.
+[](evaluation.md#why-an-episode-failed) defines the causes. – stands where a cause
+cannot be told, because no sub-task names objects: missed grasps, for instance, are then
+among the mistakes that count as *wrong object*.
 
 {causes}
 ![Furthest stage, high-level instructions](images/stages.svg)
@@ -124,9 +136,36 @@ _TRAINING = """
 
 ![Validation while training](images/validation.svg)
 
-*The score by which the best weights of a training are chosen, at its validations; each
-model has its own. [](results/rows.md#trainings) lists all trainings.*
+{caption}
 """
+_CAPTION = (
+    "*The score by which the best weights of a training are chosen, at its "
+    "validations; each model has its own. Lines of one color are the seeds of one "
+    "model.{undrawn} "
+    "[](results/rows.md#trainings) lists all trainings.*"
+)
+
+_RUNGS = """
+## Rungs of the ladder
+
+Motor commands or waypoints from one sentence and camera images, but for the expert,
+which sees the truth; high-level instructions, strict. KeyPose is one policy for all
+rungs, ACT and Diffusion Policy are one for each of three.
+[](results/controls.md#control-level) has other instructions and how far episodes came,
+[](results/controls.md#control-level-commands) the commands that train and evaluate.
+
+{rungs}"""
+
+_NAMES = """\
+- ET: [Episodic Transformer]({0}policies.md#episodic-transformer), which plans one \
+sub-task from each new image (*single-step*), or all from the first (*multi-step*).
+- GTA, ground-truth allocation: an oracle names the robot of each sub-task, \
+[not the policy]({0}evaluation.md#inputs-of-an-episode).
+- *High-level*, *human*, *unseen* and *blind* are \
+[kinds of sentences]({0}language.md#four-kinds-of-instructions), the last two for \
+evaluation alone.
+"""
+"""Lines that explain the names in the first table; with the folder of the pages."""
 
 
 def entries(results: Path = RESULTS) -> list[PolicyResults]:
@@ -148,15 +187,27 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
     trainings = read_trainings(results / "trainings")
     trained = Section(
         "Trainings",
-        "The last column is near zero where a training had long enough. Frames per "
-        "second are those of a machine that did other work beside it.",
+        "The last column is the score at the end less that after four fifths, "
+        "interpolated between validations. A small one does not prove that a training "
+        "was long enough: the learning rate falls to zero along a cosine, which "
+        "flattens every curve. Frames per second are those of a machine that did other "
+        "work beside it.",
         training_table(trainings),
         ROWS,
     )
-    listed = [*sections(every, "[](../evaluation.md)"), curves, trained]
+    commands = Section(
+        COMMANDS,
+        "`SEED` is 0, 1 or 2. `--train-s` ends a training after these seconds. Times "
+        "are from the [records](rows.md#trainings). "
+        "[A table](rows.md#how-each-row-is-made) marks trainings that a time limit "
+        "ended.",
+        command_table(every, seconds_by_name(trainings)),
+        CONTROLS,
+    )
+    listed = [*sections(every, "[](../evaluation.md)"), commands, curves, trained]
     found = [section for section in listed if section.table.rows]
     played = _headliners(every)
-    written = {PAGE: _front(every, played, found, curved=bool(trainings))}
+    written = {PAGE: _front(every, played, found, trainings)}
     for topic in TOPICS:
         of_topic = [section for section in found if section.topic == topic]
         written[FOLDER / f"{topic}.md"] = _topic_page(topic, of_topic)
@@ -183,9 +234,9 @@ def _front(
     every: Sequence[PolicyResults],
     played: Sequence[PolicyResults],
     found: Sequence[Section],
-    *,
-    curved: bool,
+    trainings: Sequence[Training],
 ) -> str:
+    rungs = rung_table(every)
     links = [
         f"- [](results/{topic}.md): "
         + "; ".join(
@@ -199,12 +250,19 @@ def _front(
         protocol=protocol_words(every, f"[{HOW}](results/rows.md)"),
         sample=sample_words(played),
         glance=at_a_glance(played).markdown() if played else NOTHING,
+        names=_NAMES.format("").rstrip(),
         tasks=_by_task(played).markdown(),
-        causes=_causes(played).markdown(),
-        training=_TRAINING if curved else "",
+        rungs=_RUNGS.format(rungs=rungs.markdown()) if rungs.rows else "",
+        causes=cause_shares(played).markdown(),
+        training=_training(trainings) if trainings else "",
         links="\n".join(links) + "\n",
         toctree="\n".join(f"results/{topic}" for topic in TOPICS),
     )
+
+
+def _training(trainings: Sequence[Training]) -> str:
+    caption = _CAPTION.format(undrawn=undrawn(trainings))
+    return _TRAINING.format(caption=_wrapped(caption))
 
 
 def _topic_page(topic: str, found: Sequence[Section]) -> str:
@@ -289,24 +347,6 @@ def _by_task(played: Sequence[PolicyResults]) -> Table:
     return Table(("success [%]", *SUITE, "mean"), tuple(rows))
 
 
-def _causes(played: Sequence[PolicyResults]) -> Table:
-    rows = []
-    for entry in played:
-        counted, total = entry.causes(), entry.episodes()
-        shares = [f"{100 * counted[cause] / total:.1f}" for cause in Cause]
-        rows.append((entry.title, f"{100 * counted.total() / total:.1f}", *shares))
-    used = [
-        number
-        for number in range(2 + len(Cause))
-        if number < 2 or any(row[number] != "0.0" for row in rows)
-    ]
-    header = ("share of episodes [%]", "failed", *(words(cause) for cause in Cause))
-    return Table(
-        tuple(header[number] for number in used),
-        tuple(tuple(row[number] for number in used) for row in rows),
-    )
-
-
 def headline(results: Path = RESULTS) -> str:
     """Return the README's text about results: rows of the paper, and ours."""
     played = _headliners(entries(results))
@@ -314,7 +354,8 @@ def headline(results: Path = RESULTS) -> str:
         return NOTHING
     words = protocol_words(played, f"[{HOW}](docs/results/rows.md)")
     table = at_a_glance(played).markdown()
-    return f"{f'{words} {sample_words(played)}'.strip()}\n\n{table}"
+    about = f"{words} {sample_words(played)}".strip()
+    return f"{about}\n\n{table}\n{_NAMES.format('docs/')}"
 
 
 def readme(results: Path = RESULTS) -> str:

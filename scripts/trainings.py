@@ -7,7 +7,7 @@ copies the reports of ``lemma train`` of these runs to results/trainings/.
 """
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -17,12 +17,14 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json
 from lemma.core.tables import Table
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS
+from lemma.evaluation.report.policy_results import NOTHING
 from lemma.policies.models.catalog import MODELS
-from lemma.viz.plots import Figure, Mark, Series, lines
+from lemma.viz.plots import Curve, Figure, curves
 
 FOLDER = Path(__file__).parents[1] / "results" / "trainings"
 TENTHS = 10
 """Default number of validations of a training."""
+LAST_FIFTH = 0.8
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Training:
     """This score at each validation, from 0 to 1."""
     command: str
     shares: tuple[float, ...] = ()
-    """Share of the training at each validation; evenly spaced ones if empty."""
+    """Share of the training at each validation; see :func:`shares_of` if empty."""
 
 
 def training_of(run: Path) -> Training:
@@ -119,6 +121,43 @@ def read_trainings(folder: Path = FOLDER) -> list[Training]:
     return found
 
 
+def shares_of(one: Training) -> tuple[float, ...]:
+    """Return the share of a training at each score; empty if nobody knows.
+
+    Without recorded shares the usual number of validations is at tenths, and a step
+    count that ten does not divide leaves one more at the end. A training that a time
+    limit ended has others.
+    """
+    if one.shares:
+        return one.shares
+    tenths = tuple((k + 1) / TENTHS for k in range(TENTHS))
+    usual = {len(each): each for each in (tenths, (*tenths, 1.0))}
+    return usual.get(len(one.curve), ())
+
+
+def late_change(one: Training) -> float | None:
+    """Return the change of the score in the last fifth of a training; None if unknown.
+
+    Its beginning is interpolated between the two validations around it.
+    """
+    shares = shares_of(one)
+    for k in range(1, len(shares)):
+        before, after = shares[k - 1], shares[k]
+        if before <= LAST_FIFTH + 1e-9 and after > LAST_FIFTH:
+            part = (LAST_FIFTH - before) / (after - before)
+            begin = one.curve[k - 1] + part * (one.curve[k] - one.curve[k - 1])
+            return one.curve[-1] - begin
+    return None
+
+
+def seconds_by_name(trainings: Iterable[Training]) -> dict[str, str]:
+    """Return the seconds of the trainings of each name, in the order of seeds."""
+    found: dict[str, list[str]] = {}
+    for one in trainings:
+        found.setdefault(one.name, []).append(f"{one.seconds:.0f}")
+    return {name: ", ".join(each) for name, each in found.items()}
+
+
 def training_table(trainings: Sequence[Training]) -> Table:
     """Return a row for each training."""
     rows = (
@@ -131,9 +170,10 @@ def training_table(trainings: Sequence[Training]) -> Table:
             f"{one.samples_per_s:.0f}",
             f"{one.gpu_memory_gb:.0f}",
             f"`{one.selection}` {100 * max(one.curve):.1f}",
-            f"{100 * (one.curve[-1] - one.curve[len(one.curve) * 4 // 5 - 1]):+.1f}",
+            NOTHING if change is None else f"{100 * change:+.1f}",
         )
         for one in trainings
+        for change in [late_change(one)]
     )
     header = (
         *("weights", "device", "seed", "frames", "seconds", "frames/s", "memory [GB]"),
@@ -142,40 +182,46 @@ def training_table(trainings: Sequence[Training]) -> Table:
     return Table(header, tuple(rows), labels=2)
 
 
-def validation_figure(trainings: Sequence[Training]) -> Figure:
-    """Return the validation curves of first seeds, each at the nearest tenth.
-
-    A record without shares needs ten validations. Ablations are left out.
-    """
+def plotted(trainings: Iterable[Training]) -> list[Training]:
+    """Return the trainings of the figure: with known shares, and no ablations."""
     every = EXPERIMENTS.values()
     ablations = {one.policy.name for one in every if one.suite == ABLATIONS}
-    shown: dict[str, Training] = {}
-    for one in trainings:
-        # A step count that ten does not divide leaves one more validation at the end.
-        whole = one.shares or len(one.curve) in (TENTHS, TENTHS + 1)
-        if whole and one.name not in ablations:
-            shown.setdefault(one.name, one)
-    series = [
-        Series(f"{one.name}: {one.selection}", marks_of(one)) for one in shown.values()
+    return [one for one in trainings if shares_of(one) and one.name not in ablations]
+
+
+def validation_figure(trainings: Iterable[Training]) -> Figure:
+    """Return the validation curves of :func:`plotted` trainings, all seeds."""
+    drawn = [
+        Curve(
+            f"{one.name}: {one.selection}",
+            f"{one.name}, seed {one.seed}",
+            tuple(
+                (100.0 * share, 100.0 * score)
+                for share, score in zip(shares_of(one), one.curve, strict=True)
+            ),
+        )
+        for one in plotted(trainings)
     ]
-    parts = [f"{10 * (k + 1)}" for k in range(TENTHS)]
     axes = "share of the training [%]", "validation score [%]"
     return Figure(
         "validation",
         "Validation while training",
         "The score by which the best weights are chosen; each model has its own.",
-        lines(parts, series, axes),
+        curves(drawn, axes, (0.0, 100.0)),
     )
 
 
-def marks_of(one: Training) -> tuple[Mark | None, ...]:
-    """Return the scores at the tenths of a training; None where there is no score."""
-    shares = one.shares or [(k + 1) / TENTHS for k in range(TENTHS)]
-    at = {
-        round(TENTHS * share): Mark(value, value, value, f"{value:.1%}")
-        for share, value in zip(shares, one.curve, strict=False)
-    }
-    return tuple(at.get(k + 1) for k in range(TENTHS))
+def undrawn(trainings: Iterable[Training]) -> str:
+    """Return a further sentence, about trainings that the figure lacks, if any."""
+    missing = [
+        f"`{one.name}` of seed {one.seed}" for one in trainings if not shares_of(one)
+    ]
+    if not missing:
+        return ""
+    return (
+        f" Not drawn: {', '.join(missing)}, whose record does not say when it was "
+        "validated."
+    )
 
 
 def main() -> None:

@@ -14,8 +14,10 @@ from lemma.evaluation.report.policy_results import PolicyResults
 from lemma.viz.pages.report_figures import figures_of, write_figures
 from lemma.viz.plots import (
     Bar,
+    Curve,
     Mark,
     Series,
+    curves,
     dots,
     lines,
     stacks,
@@ -111,6 +113,29 @@ def test_values_rise_upwards() -> None:
     low, high = map(place_of, shapes(svg).values())
     assert high[1] < low[1]
     assert low[0] == pytest.approx(tick(svg, "0"), abs=0.1)
+
+
+def test_points_of_curves_stand_at_their_numbers_and_share_looks_by_group() -> None:
+    found = [
+        Curve("A", "one", ((0.0, 50.0), (74.0, 60.0))),
+        Curve("A", "two", ((0.0, 20.0), (74.0, 30.0))),
+        Curve("B", "three", ((100.0, 50.0),)),
+    ]
+    svg = curves(found, ("share [%]", "score [%]"), (0.0, 100.0))
+    places = {
+        name: [
+            (float(u.attrib["x"]), u.attrib["style"]) for u in shape.iter(f"{SVG}use")
+        ]
+        for name, shape in shapes(svg).items()
+    }
+    assert list(places) == ["one", "two", "three"]
+    assert places["one"] == places["two"]
+    begin, end = tick(svg, "0"), tick(svg, "100")
+    assert [x for x, _ in places["one"]] == pytest.approx(
+        [begin, begin + 0.74 * (end - begin)], abs=0.1
+    )
+    assert places["three"][0][0] == pytest.approx(end, abs=0.1)
+    assert places["three"][0][1] != places["one"][0][1]
 
 
 def test_series_differ_without_colors() -> None:

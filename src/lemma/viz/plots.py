@@ -74,6 +74,18 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
+class Curve:
+    """Points that a line joins."""
+
+    group: str
+    """Its name in the legend; curves of the same name look alike."""
+    words: str
+    """Its tooltip."""
+    points: tuple[tuple[float, float], ...]
+    """Both coordinates of each point, as on the axes."""
+
+
+@dataclass(frozen=True, slots=True)
 class Bar:
     """A bar that is divided into parts."""
 
@@ -158,6 +170,32 @@ def lines(
     return _plot(draw, _TALL + 60, title, [one.name for one in series])
 
 
+def curves(
+    found: Sequence[Curve], axes_words: tuple[str, str], limits: tuple[float, float]
+) -> str:
+    """Return thin lines with a small marker at each point, where its numbers are.
+
+    Args:
+        found: At least one.
+        axes_words: Labels of the horizontal and of the vertical axis.
+        limits: Smallest and largest value on both axes.
+    """
+    groups = list(dict.fromkeys(one.group for one in found))
+    margin = 0.02 * (limits[1] - limits[0])
+    ends = limits[0] - margin, limits[1] + margin
+
+    def draw(axes: Axes, tips: list[str]) -> None:
+        for one in found:
+            xs, ys = zip(*one.points, strict=True)
+            looks = _marker(groups.index(one.group)) | _SMALL
+            axes.plot(xs, ys, **looks, gid=_tip(tips, one.words))
+        axes.set(xlabel=axes_words[0], ylabel=axes_words[1], xlim=ends, ylim=ends)
+        axes.grid(axis="y")
+
+    title = f"{axes_words[1]} by {axes_words[0]}"
+    return _plot(draw, _TALL + 60, title, groups)
+
+
 def stacks(parts: Sequence[str], bars: Sequence[Bar], axis: str) -> str:
     """Return stacked bars; parts differ by color and hatching.
 
@@ -211,6 +249,10 @@ def _marker(number: int) -> dict[str, Any]:
         "markeredgewidth": 1.6,
         "color": _hue(number),
     }
+
+
+_SMALL = {"markersize": 5, "markeredgewidth": 0.8, "lw": 1.0, "alpha": 0.75}
+"""Changes to a marker, and its line, where there are many."""
 
 
 def _draw_marks(

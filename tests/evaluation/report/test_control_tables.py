@@ -18,8 +18,14 @@ from lemma.core.errors import DatasetError
 from lemma.core.files import write_json
 from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.report import tables
-from lemma.evaluation.report.policy_results import NOT_RUN, PARTIAL, entries_of
-from lemma.evaluation.report.sections import RUNGS, protocol_words, sections
+from lemma.evaluation.report.policy_results import (
+    NOT_RUN,
+    NOTHING,
+    PARTIAL,
+    entries_of,
+)
+from lemma.evaluation.report.rung_table import command_table, rung_table
+from lemma.evaluation.report.sections import HOW, RUNGS, protocol_words, sections
 from lemma.tasks.suite import SUITE
 
 NAME = "act-reach"
@@ -76,6 +82,31 @@ def test_kinds_of_instructions_are_counted_apart_and_stages_are_of_one() -> None
     assert found["human"][-1] == NOT_RUN
     rows = [{one.title: one.table for one in sections(each)} for each in (alone, mixed)]
     assert rows[0][RUNGS].rows == rows[1][RUNGS].rows
+
+
+def test_policies_of_one_rung_each_share_a_row() -> None:
+    rungs = ("act-reach", "act-lift")
+    found = [
+        result(wins, experiment=name, tasks=EXPERIMENTS[name].tasks)
+        for name, wins in zip(rungs, (3, 6), strict=True)
+    ]
+    entries = entries_of([*found, result(5)], complete=True)
+    ((title, *rates),) = rung_table(entries).rows
+    assert title == "ACT"
+    assert rates == ["30.0 (11–60)"] * 3 + ["60.0 (31–83)"] * 3
+    assert rung_table(entries_of([result(5)], complete=True)).rows == ()
+    # Each has its own command, and a time where there is a record.
+    rows = command_table(entries, {"lerobot:act-lift": "12, 13"}).rows
+    assert [row[0] for row in rows] == [EXPERIMENTS[name].title for name in rungs]
+    assert [row[-1] for row in rows] == [NOTHING, "12, 13"]
+    assert EXPERIMENTS["act-lift"].training in rows[1][2]
+
+
+def test_weights_whose_command_ends_by_time_are_marked() -> None:
+    made = [result(3, experiment=NAME, tasks=TASKS), result(5)]
+    rows = {one.title: one.table for one in sections(entries_of(made))}[HOW].rows
+    marked = {row[0]: "nobody can repeat it" in row[2] for row in rows}
+    assert marked == {TITLE: True, "ReachNet": False}
 
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:

@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from made_up import ABOUT, result, row
+from made_up import ABOUT, result, row, step
 
 import results
 from lemma.cli.report import report as verb
@@ -87,6 +87,39 @@ def test_losses_are_summed_over_seeds() -> None:
     assert (found["failed"], found["of"], found["wrong robot"]) == ("14", "40", "14")
     by_task = tables.losses_by_task(entry)
     assert [line[1] for line in by_task.rows] == ["pass", "stack"]
+
+
+def mistaken(**departed: int) -> PolicyResults:
+    """Return a policy with sub-tasks by departure, which name objects or do not."""
+    named = "robot" in departed
+    rows = [
+        row("stack", number, steps=[step(2, departure, able=named or None)], left=2)
+        for departure, count in departed.items()
+        for number in range(count)
+    ]
+    return entry_of(summarise(rows, {**ABOUT, "policy": PolicySpec("mine:A").about()}))
+
+
+def test_causes_that_cannot_be_told_without_names_are_not_called_zero() -> None:
+    named, nameless = mistaken(object=2, robot=1), mistaken(object=2, primitive=1)
+    for entry, robots, orders in (
+        (named, "1", "0"),
+        (nameless, NOTHING, NOTHING),
+    ):
+        found = cells(tables.losses([entry]), entry.title)
+        assert (found["wrong robot"], found["wrong order"]) == (robots, orders)
+        assert found["missed place"] == orders
+        assert found["wrong object"] == "2"
+        assert found["stopped early"] == "0"
+        # Contacts tell the causes at control level alone.
+        assert found["untouched"] == NOTHING
+        together = measures.coordination([entry], "high_level").rows[0]
+        assert (NOTHING in together[4:7]) == (entry is nameless)
+    (row,) = tables.cause_shares([nameless]).rows
+    assert row == (nameless.title, "100.0", "33.3", "66.7")
+    both = tables.cause_shares([named, nameless])
+    assert both.header[2:] == ("wrong robot", "wrong primitive", "wrong object")
+    assert both.rows[1][2] == NOTHING
 
 
 def test_ablations_have_a_table_of_their_own() -> None:

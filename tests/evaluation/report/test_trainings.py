@@ -8,11 +8,15 @@ import pytest
 from lemma.core.errors import DatasetError
 from lemma.core.files import write_json
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS
+from lemma.evaluation.report.policy_results import NOTHING
 from trainings import (
-    marks_of,
+    Training,
+    late_change,
     read_trainings,
+    shares_of,
     training_of,
     training_table,
+    undrawn,
     validation_figure,
 )
 
@@ -40,6 +44,24 @@ def test_trainings_are_kept_listed_and_plotted(tmp_path: Path) -> None:
         read_trainings(tmp_path / "kept")
 
 
+def kept(curve: tuple[float, ...], shares: tuple[float, ...] = ()) -> Training:
+    """Return the record of a training of CLIPort."""
+    figures = (0, 640, 1.0, 5.0, 4.0, "a card", "time is up", "grounded")
+    return Training("cliport", *figures, curve, "lemma train cliport", shares)
+
+
+def test_the_late_change_begins_at_four_fifths_wherever_validations_were() -> None:
+    rising = tuple(k / 10 for k in range(1, 11))
+    assert late_change(kept(rising)) == pytest.approx(0.2)
+    # A last validation just after the tenth one makes no difference.
+    assert late_change(kept((*rising, 1.0))) == pytest.approx(0.2)
+    for shares in ((0.3, 0.74, 1.0), (0.1, 0.8, 1.0), (0.5, 0.85, 0.95, 1.0)):
+        assert late_change(kept(shares, shares)) == pytest.approx(0.2)
+    for unknown in (kept((0.1, 0.2, 0.3)), kept((0.5,), (1.0,))):
+        assert late_change(unknown) is None
+        assert training_table([unknown]).rows[0][-1] == NOTHING
+
+
 def test_a_training_that_was_cut_short_has_its_scores_where_they_were_taken(
     tmp_path: Path,
 ) -> None:
@@ -52,15 +74,18 @@ def test_a_training_that_was_cut_short_has_its_scores_where_they_were_taken(
         ],
     }
     write_json(tmp_path / "report.json", report)
-    marks = marks_of(training_of(tmp_path))
-    found = {k: mark.value for k, mark in enumerate(marks, 1) if mark}
-    assert found == {2: 0.1, 4: 0.2, 6: 0.3, 7: 0.4, 9: 0.5, 10: 0.5408}
+    found = shares_of(training_of(tmp_path))
+    assert found == (0.185, 0.37, 0.555, 0.74, 0.925, 1.0)
 
 
-def test_the_figure_shows_all_trainings_but_ablations() -> None:
-    kept = read_trainings()
-    picture = validation_figure(kept).svg
-    every = EXPERIMENTS.values()
-    ablations = {one.policy.name for one in every if one.suite == ABLATIONS}
-    missing = {one.name for one in kept if f"{one.name}: " not in picture}
-    assert missing == {one.name for one in kept} & ablations
+def test_the_figure_shows_all_seeds_but_ablations_and_names_what_it_lacks() -> None:
+    every = read_trainings()
+    picture = validation_figure(every).svg
+    ablations = {
+        one.policy.name for one in EXPERIMENTS.values() if one.suite == ABLATIONS
+    }
+    for one in every:
+        drawn = f"<title>{one.name}, seed {one.seed}</title>" in picture
+        told = f"`{one.name}` of seed {one.seed}" in undrawn(every)
+        assert (drawn, told).count(True) == (one.name not in ablations)
+    assert undrawn([one for one in every if shares_of(one)]) == ""

@@ -17,7 +17,8 @@ allocation          share of sub-tasks whose robot could do them, ``able``, as t
                     plan, now or later, with any robot, ``planned``.
 order violation     a sub-task that is in the expert's plan, but further on, which could
                     not be done yet, or was done and left as many sub-tasks to do as
-                    before. Sub-tasks in any order are none.
+                    before. Sub-tasks in any order are none. As for allocation, there is
+                    nothing to count where no sub-task names objects.
 clearance           smallest distance between the two arms, looked at ten times in a
                     simulated second (:mod:`lemma.evaluation.run.watches`).
                     Signed: 0 or less is touching.
@@ -63,6 +64,14 @@ class Coordination:
     lenient_timed_s: float
     """As ``timed_s``, over the episodes with lenient success."""
     lenient_expert_s: float
+
+    @property
+    def judged(self) -> int:
+        """Number of sub-tasks that could be compared with a plan or with reach.
+
+        It is 0 for policies that name no objects, as end-to-end models do.
+        """
+        return self.doable + self.planned
 
 
 _COUNTED = ("doable", "able", "planned", "as_expert", "order_violations")

@@ -72,6 +72,23 @@ class Cause(StrEnum):
     line has the details."""
 
 
+OF_CONTROL = frozenset({Cause.UNTOUCHED, Cause.UNGRASPED, Cause.MISPLACED})
+"""Causes of episodes at control level alone."""
+OF_NAMES = frozenset(
+    {
+        *(Cause.WRONG_ROBOT, Cause.WRONG_ORDER, Cause.MISSED_PICK),
+        *(Cause.MISSED_PLACE, Cause.EXECUTION, Cause.FELL),
+    }
+)
+"""Causes told of sub-tasks that name objects. End-to-end models name none, so that none
+of their sub-tasks equals one of a plan, and the mistake is a wrong primitive or object;
+only a goal that does not hold at rest is an execution of theirs, too."""
+OF_SUBTASKS = (OF_NAMES - {Cause.FELL}) | {
+    *(Cause.WRONG_PRIMITIVE, Cause.WRONG_OBJECT),
+    *(Cause.OUT_OF_TIME, Cause.STOPPED_EARLY),
+}
+"""Causes told of sub-tasks, which episodes at control level do not have."""
+
 _OF_DEVIATION = {
     Deviation.ROBOT: Cause.WRONG_ROBOT,
     Deviation.ORDER: Cause.WRONG_ORDER,

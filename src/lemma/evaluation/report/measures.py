@@ -56,6 +56,11 @@ def _refusals(found: Sequence[Coordination]) -> float | None:
     return _ratio("refusals", "episodes")(found) if played else None
 
 
+def _violations(found: Sequence[Coordination]) -> float | None:
+    told = any(one.judged for one in found)
+    return _ratio("order_violations", "episodes")(found) if told else None
+
+
 def _nearest(found: Sequence[Coordination]) -> float | None:
     gaps = [one.nearest_mm for one in found if one.nearest_mm is not None]
     return min(gaps, default=None)
@@ -67,7 +72,7 @@ METRICS = (
     Metric("idle, right [%]", _ratio("idle_s", "elapsed_s", robot="robot_1")),
     Metric("first-try allocation [%]", _ratio("able", "doable")),
     Metric("expert's robot [%]", _ratio("as_expert", "planned")),
-    Metric("order violations per 100", _ratio("order_violations", "episodes")),
+    Metric("order violations per 100", _violations),
     Metric("nearest arms [mm]", _nearest, 0, min),
     Metric("touching", lambda found: sum(one.touching for one in found), 0, sum),
     Metric("protective stops per 100", _ratio("stops", "episodes")),

@@ -4,11 +4,18 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
 
 from lemma.core.errors import DatasetError
+from lemma.evaluation.analysis.failure_causes import (
+    OF_CONTROL,
+    OF_NAMES,
+    OF_SUBTASKS,
+    Cause,
+)
 from lemma.evaluation.analysis.rates import Cell, leniently, mean_over_tasks, rate_of
 from lemma.evaluation.analysis.result import Result, check_lines, read_result
 from lemma.evaluation.experiments.catalog import ABLATIONS, EXPERIMENTS, Experiment
@@ -82,6 +89,21 @@ class PolicyResults:
                 if kind in (None, loss.kind) and task in (None, loss.task):
                     counted[loss.cause] += loss.episodes
         return counted
+
+    @cached_property
+    def untold(self) -> frozenset[Cause]:
+        """The causes that its episodes cannot tell, whatever happened in them.
+
+        The expert judges sub-tasks that name objects. Without a judged one, either they
+        name none, or there are none, as at control level.
+        """
+        found = self.causes()
+        known = [one for result in self.results for one in result.coordination]
+        if not known or any(one.judged for one in known):
+            return OF_CONTROL.difference(found)
+        if OF_SUBTASKS.isdisjoint(found):
+            return OF_SUBTASKS
+        return (OF_CONTROL | OF_NAMES).difference(found)
 
 
 def pooled(cells: list[Cell]) -> float:

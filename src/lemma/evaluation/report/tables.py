@@ -301,8 +301,32 @@ def losses_by_task(entry: PolicyResults) -> Table:
 
 def _lost(entry: PolicyResults, kind: str, task: str | None = None) -> tuple[str, ...]:
     counted = entry.causes(kind, task)
-    each = (str(counted[cause] or NOTHING) for cause in Cause)
+    each = (
+        NOTHING if cause in entry.untold else str(counted[cause]) for cause in Cause
+    )
     return (str(counted.total()), str(entry.episodes(kind, task)), *each)
+
+
+def cause_shares(entries: Iterable[PolicyResults]) -> Table:
+    """Return the share of each cause in all episodes [%], without unused columns."""
+    rows = []
+    for entry in entries:
+        counted, total = entry.causes(), entry.episodes()
+        shares = (
+            NOTHING if cause in entry.untold else f"{100 * counted[cause] / total:.1f}"
+            for cause in Cause
+        )
+        rows.append((entry.title, f"{100 * counted.total() / total:.1f}", *shares))
+    header = ("share of episodes [%]", "failed", *(words(cause) for cause in Cause))
+    used = [
+        number
+        for number in range(len(header))
+        if number < 2 or {row[number] for row in rows} - {"0.0", NOTHING}
+    ]
+    return Table(
+        tuple(header[number] for number in used),
+        tuple(tuple(row[number] for number in used) for row in rows),
+    )
 
 
 def precision(entries: Sequence[PolicyResults], kind: str) -> Table:
