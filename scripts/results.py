@@ -329,7 +329,7 @@ def _played(table: Table) -> tuple[Table, list[str]]:
 
 
 def _headliners(every: Sequence[PolicyResults]) -> list[PolicyResults]:
-    """Return the policies of the main tables: rows of the paper, and ours."""
+    """Return the policies of the main tables: rows of the paper and of ReachNet."""
     return [
         entry for entry in every if entry.results and entry.suite in ("", *SUITES[:2])
     ]
@@ -348,7 +348,7 @@ def _by_task(played: Sequence[PolicyResults]) -> Table:
 
 
 def headline(results: Path = RESULTS) -> str:
-    """Return the README's text about results: rows of the paper, and ours."""
+    """Return the README's text about results: rows of the paper and of ReachNet."""
     played = _headliners(entries(results))
     if not played:
         return NOTHING

@@ -46,7 +46,7 @@ def reproduce(
     Rows with missing weights are skipped, and listed at the end.
 
     Args:
-        name: paper, ours, controls, control-level, ablations; all, which leaves out
+        name: paper, reachnet-variants, controls, control-level, ablations; all, without
             the last two; or one experiment.
         out: Folder of all results: one folder per experiment, one file per training
             seed.

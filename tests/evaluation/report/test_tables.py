@@ -14,6 +14,7 @@ from lemma.core.errors import DatasetError
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Asked, Result, summarise
 from lemma.evaluation.report import measures, tables
+from lemma.evaluation.report.below_paper import below_paper
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     NOTHING,
@@ -304,6 +305,24 @@ def test_all_tables_of_the_paper_stand_below_ours() -> None:
     hook = ("26.09 ± 2.51", "32.46 ± 3.62", "17.59 ± 2.07")
     assert ("*paper*", "hook", "human", *hook) in numbers.rows
     assert len(numbers.rows) == 2 * 8
+
+
+def test_all_that_is_below_the_paper_is_listed_with_its_failures() -> None:
+    entries = results.entries()
+    found = {row[:3]: row[3:] for row in below_paper(entries).rows}
+    lower = {}
+    for kind in ("high_level", "human"):
+        for line in tables.by_task(entries, kind).rows:
+            if line[0] not in (tables.LENIENT, tables.PAPER):
+                strict = line
+            if line[0] == tables.PAPER:
+                for task, own, paper in zip(SUITE, strict[1:], line[1:], strict=False):
+                    if float(own.split()[0]) < float(paper.split()[0]):
+                        lower[strict[0], kind.replace("_", "-"), task] = own, paper
+    assert lower
+    assert {key: row[:2] for key, row in found.items()} == lower
+    for *_, failed, causes in found.values():
+        assert int(failed) == sum(int(each.split()[-1]) for each in causes.split(", "))
 
 
 def test_the_readme_has_the_table_of_the_results(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from lemma.tasks.language.template import EVALUATION_KINDS
 from lemma.tasks.suite import SUITE
 
 CONTROL_LEVEL = "control-level"
-SUITES = ("paper", "ours", "controls", CONTROL_LEVEL, "ablations")
+SUITES = ("paper", "reachnet-variants", "controls", CONTROL_LEVEL, "ablations")
 ALL = "all"
 AND = " && "
 """Between commands of a line."""

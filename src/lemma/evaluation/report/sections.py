@@ -19,6 +19,7 @@ from lemma.evaluation.experiments.catalog import (
 )
 from lemma.evaluation.records import older_versions
 from lemma.evaluation.report import measures, pair_table, tables, team_table
+from lemma.evaluation.report.below_paper import below_paper
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
     PARTIAL,
@@ -192,10 +193,11 @@ def _of_diagnoses(entries: Sequence[PolicyResults]) -> dict[str, Table]:
     return {
         "Stages": measures.reached(entries),
         "Where the points are lost": tables.losses(entries),
+        "Below the paper": below_paper(entries),
         **{
             f"{entry.title}: losses by task": tables.losses_by_task(entry)
             for entry in entries
-            # Only the paper's rows, ours, and policies that are not in the registry.
+            # Only rows of the paper and of ReachNet, and what is no experiment.
             if entry.suite in ("", *SUITES[:2]) and entry.causes()
         },
         "How exact the poses are": tables.precision(entries, "high_level"),
