@@ -98,7 +98,8 @@ $(LEROBOT_VENV)/stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
 		"make test-lerobot LEROBOT_PYTHON=/path/to/python" >&2; exit 1; fi
 	@echo "Installing lerobot into $(LEROBOT_VENV) (6 GB, some minutes) ..."
 	@$(LEROBOT_PYTHON) -m venv --clear $(LEROBOT_VENV)
-	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' -e $(LEROBOT_PLUGIN) pytest
+	@$(LEROBOT_VENV)/bin/python -m pip install -qq -e '.[lerobot]' -e $(LEROBOT_PLUGIN) \
+		'lerobot[smolvla]' pytest
 	@touch $@
 
 # Only parity with MuJoCo Warp needs it (0.5 GB, and torch); a CPU will do.

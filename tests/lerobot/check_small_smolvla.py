@@ -1,4 +1,4 @@
-"""A very small SmolVLA is trained as documented and played, with lerobot[smolvla].
+"""A very small SmolVLA is trained as documented, and played.
 
 Its weights are random: nothing is downloaded, and nothing is learned.
 """
@@ -7,7 +7,6 @@ import math
 import re
 from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +21,6 @@ import lemma
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy
-
-pytestmark = pytest.mark.skipif(
-    not (find_spec("transformers") and find_spec("num2words")),
-    reason="lerobot[smolvla] is not installed",
-)
 
 NAME, STEPS, EXECUTED = "smolvla", 2, 10
 SPECIAL = {
@@ -135,18 +129,26 @@ def test_it_is_trained_as_documented_and_evaluated(
     assert (row["control"]["actions"], row["control"]["asked"]) == (20, 20 / EXECUTED)
 
 
-def test_it_reads_the_instruction() -> None:
+def answers(*said: tuple[str, int]) -> list[Any]:
+    """Return the chunks of one batch: of one view, with these texts at these steps."""
     policy = LeRobotPolicy(checkpoint())
     env = lemma.make("pass", split="val", **policy.control_options)
-    observation, _ = env.reset()
-    one, other = list(dataset().meta.tasks.index)
-
-    def rows(instruction: str) -> Any:
-        given = ControlInput(
-            instruction=instruction, robots=("a", "b"), observation=observation
+    observation, _ = env.reset(seed=0)
+    given = [
+        ControlInput(
+            instruction=text, robots=("a", "b"), observation=observation, step=step
         )
-        return np.asarray(policy.act([given])[0].rows)
+        for text, step in said
+    ]
+    return [np.asarray(chunk.rows) for chunk in policy.act(given)]
 
-    assert rows(one).shape == (EXECUTED, 2, 7)
-    assert np.array_equal(rows(one), rows(one))
-    assert not np.allclose(rows(one), rows(other), atol=1e-4)
+
+def test_it_reads_the_instruction_and_not_its_place_in_the_batch() -> None:
+    one, other = list(dataset().meta.tasks.index)
+    first, second, third, later = answers((one, 0), (other, 0), (one, 0), (one, 9))
+    assert first.shape == (EXECUTED, 2, 7)
+    assert np.array_equal(first, third)
+    assert np.array_equal(second, *answers((other, 0)))
+    assert not np.allclose(first, second, atol=1e-4)
+    # Each step has other noise.
+    assert not np.allclose(first, later, atol=1e-4)

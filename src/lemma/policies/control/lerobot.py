@@ -39,6 +39,8 @@ _SHARED = ("_parameters", "_buffers", "_modules")
 """Attributes of the network, which all episodes share."""
 _DRAWS_ONCE = ("diffusion", "DDIM")
 """Type and scheduler of a policy whose only random numbers are the initial noise."""
+_TOGETHER = (_DRAWS_ONCE, ("act", None))
+"""Those whose chunk for an episode cannot depend on the others of a batch."""
 
 
 class LeRobotPolicy:
@@ -86,9 +88,9 @@ class LeRobotPolicy:
         # lerobot has queues even for a single observation.
         self._queues = OBS_STATE in (getattr(self._policy, "_queues", None) or {})
         self._looks_on = config.n_obs_steps > 1 or ensembles
-        # Others draw noise for the whole batch between the steps of denoising.
+        # Others, such as SmolVLA, draw noise for the whole batch at once.
         kind = (config.type, getattr(config, "noise_scheduler_type", None))
-        self._one_by_one = self._looks_on or (self._queues and kind != _DRAWS_ONCE)
+        self._one_by_one = self._looks_on or kind not in _TOGETHER
 
     @torch.no_grad()
     def act(self, inputs: Sequence[ControlInput]) -> list[Actions]:
@@ -119,7 +121,7 @@ class LeRobotPolicy:
         return Actions(self._rows(action)[0], policy)
 
     def _chunks(self, batch: dict[str, Any], **more: Any) -> torch.Tensor:
-        """Return chunks of a policy that has queues for one observation."""
+        """Return the chunks that a policy with queues gives action by action."""
         self._policy.reset()
         count = self._config.n_action_steps
         rows = [self._policy.select_action(batch, **more) for _ in range(count)]
