@@ -88,11 +88,11 @@ LEROBOT_PYTHON ?= $(shell for p in python3.12 python3.13 python3 \
 LEROBOT_VENV := .venv-lerobot
 LEROBOT_PLUGIN := integrations/lerobot_env_lemma
 
-test-lerobot: $(LEROBOT_VENV)/stamp ## The real lerobot exports, trains and evaluates.
+test-lerobot: $(LEROBOT_VENV)/smolvla.stamp ## The real lerobot exports, trains and evaluates.
 	$(LEROBOT_VENV)/bin/python -m pytest -q -p no:cacheprovider \
 		-c tests/lerobot/pytest.ini --confcutdir=tests/lerobot tests/lerobot
 
-$(LEROBOT_VENV)/stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
+$(LEROBOT_VENV)/smolvla.stamp: pyproject.toml $(LEROBOT_PLUGIN)/pyproject.toml
 	@if [ -z "$(LEROBOT_PYTHON)" ]; then \
 		echo "No Python 3.12 or 3.13 was found. Say where it is:" \
 		"make test-lerobot LEROBOT_PYTHON=/path/to/python" >&2; exit 1; fi

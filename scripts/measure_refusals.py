@@ -11,7 +11,7 @@ error, and the mean negative log-likelihood.
 ``--fit`` prints the temperature that fits the held-out lines and the voices.
 ``--kept`` reads these instead of the evaluation bank and templates, to choose options.
 ``--as-before`` refuses by the rule for readers without refusals: certainty below 50 %,
-or the word "not".
+or the word "not". They had no temperature: it is 1 unless ``--temperature`` is given.
 """
 
 import argparse
@@ -223,8 +223,9 @@ def main() -> None:
     if options.reader:
         reader = GoalReader(ReaderConfig()).eval()
         reader.load_state_dict(torch.load(options.reader))
-    if options.temperature:
-        reader.config = replace(reader.config, temperature=options.temperature)
+    if options.temperature or options.as_before:
+        temperature = options.temperature or 1.0
+        reader.config = replace(reader.config, temperature=temperature)
     if options.fit:
         value = fitted(reader)
         print(f"temperature {value:.1f}")

@@ -159,6 +159,9 @@ rungs, ACT and Diffusion Policy are one for each of three.
 _NAMES = """\
 - ET: [Episodic Transformer]({0}policies.md#episodic-transformer), which plans one \
 sub-task from each new image (*single-step*), or all from the first (*multi-step*).
+- [CLIPort]({0}policies.md#cliport-and-m-cliport) finds the poses of a sub-task, \
+M-CLIPort whole decisions. [ReachNet]({0}policies.md#reachnet) learns the reach of arms \
+from labels of the simulator, or from demonstrations alone.
 - GTA, ground-truth allocation: an oracle names the robot of each sub-task, \
 [not the policy]({0}evaluation.md#inputs-of-an-episode).
 - *High-level*, *human*, *unseen* and *blind* are \
@@ -197,10 +200,9 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
     )
     commands = Section(
         COMMANDS,
-        "`SEED` is 0, 1 or 2. `--train-s` ends a training after these seconds. Times "
-        "are from the [records](rows.md#trainings). "
-        "[A table](rows.md#how-each-row-is-made) marks trainings that a time limit "
-        "ended.",
+        "`SEED` is 0, and for KeyPose also 1 and 2. Seconds of training are those of "
+        "`--train-s`, and for KeyPose of the [records](rows.md#trainings): the "
+        "published weights had the further option `--time-limit-s 610`.",
         command_table(every, seconds_by_name(trainings)),
         CONTROLS,
     )

@@ -85,7 +85,7 @@ def training_from(report: Mapping[str, object], name: str) -> Training:
         device=parsed.device,
         status=parsed.status,
         selection=selection,
-        curve=tuple(round(one[selection], 4) for one in parsed.history),
+        curve=tuple(round(one[selection], 6) for one in parsed.history),
         command=parsed.command,
         shares=tuple(round(one["step"] / parsed.steps, 3) for one in parsed.history),
     )
@@ -217,10 +217,10 @@ def undrawn(trainings: Iterable[Training]) -> str:
         f"`{one.name}` of seed {one.seed}" for one in trainings if not shares_of(one)
     ]
     if not missing:
-        return ""
+        return " Not drawn: ablations."
     return (
-        f" Not drawn: {', '.join(missing)}, whose record does not say when it was "
-        "validated."
+        f" Not drawn: ablations, and {', '.join(missing)}, whose record does not say "
+        "when it was validated."
     )
 
 

@@ -20,7 +20,6 @@ from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
-    NOTHING,
     PARTIAL,
     entries_of,
 )
@@ -96,10 +95,14 @@ def test_policies_of_one_rung_each_share_a_row() -> None:
     assert rates == ["30.0 (11–60)"] * 3 + ["60.0 (31–83)"] * 3
     assert rung_table(entries_of([result(5)], complete=True)).rows == ()
     # Each has its own command, and a time where there is a record.
-    rows = command_table(entries, {"lerobot:act-lift": "12, 13"}).rows
-    assert [row[0] for row in rows] == [EXPERIMENTS[name].title for name in rungs]
-    assert [row[-1] for row in rows] == [NOTHING, "12, 13"]
-    assert EXPERIMENTS["act-lift"].training in rows[1][2]
+    found.append(result(2, experiment="keypose", tasks=EXPERIMENTS["keypose"].tasks))
+    rows = command_table(entries_of(found), {"keypose": "12, 13"}).rows
+    titles = [EXPERIMENTS[name].title for name in (*rungs, "keypose")]
+    assert sorted((row[0], row[-1]) for row in rows) == sorted(
+        zip(titles, ("500", "500", "12, 13"), strict=True)
+    )
+    lift = EXPERIMENTS["act-lift"]
+    assert any(row[0] == lift.title and lift.training in row[2] for row in rows)
 
 
 def test_weights_whose_command_ends_by_time_are_marked() -> None:

@@ -116,8 +116,17 @@ def test_causes_that_cannot_be_told_without_names_are_not_called_zero() -> None:
         assert found["untouched"] == NOTHING
         together = measures.coordination([entry], "high_level").rows[0]
         assert (NOTHING in together[4:7]) == (entry is nameless)
-    (row,) = tables.cause_shares([nameless]).rows
-    assert row == (nameless.title, "100.0", "33.3", "66.7")
+    # A policy that gives no motor commands is known as such without any mistake, too.
+    for failure in ("thrown", "policy_error"):
+        steps = [step(2, able=None)]
+        thrown = summarise(
+            [row(steps=steps, failure=failure)],
+            {**ABOUT, "policy": PolicySpec("mine:A").about()},
+        )
+        found = cells(tables.losses([entry_of(thrown)]), "mine:A")
+        assert (found["wrong object"], found["untouched"]) == ("0", NOTHING)
+    (shares,) = tables.cause_shares([nameless]).rows
+    assert shares == (nameless.title, "100.0", "33.3", "66.7")
     both = tables.cause_shares([named, nameless])
     assert both.header[2:] == ("wrong robot", "wrong primitive", "wrong object")
     assert both.rows[1][2] == NOTHING

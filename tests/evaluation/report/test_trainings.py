@@ -88,4 +88,4 @@ def test_the_figure_shows_all_seeds_but_ablations_and_names_what_it_lacks() -> N
         drawn = f"<title>{one.name}, seed {one.seed}</title>" in picture
         told = f"`{one.name}` of seed {one.seed}" in undrawn(every)
         assert (drawn, told).count(True) == (one.name not in ablations)
-    assert undrawn([one for one in every if shares_of(one)]) == ""
+    assert undrawn([one for one in every if shares_of(one)]) == " Not drawn: ablations."

@@ -121,6 +121,13 @@ def test_a_frame_does_not_see_what_comes_after_it(second_look: bool) -> None:
         assert not torch.allclose(a[1:2], c, atol=1e-4)
 
 
+def test_a_second_look_counts_and_learns() -> None:
+    model = tiny(second_look=True)
+    torch.stack(list(model.loss(drawn_batch(3)).values())).sum().backward()
+    for part in (model.cell_token.weight, model.cell_places, model.look.in_proj_weight):
+        assert part.grad.abs().sum() > 0
+
+
 def test_a_batch_splits_where_frames_do_not_follow() -> None:
     batch = part_of(episodes(3, 4), [0, 1, 2, 4, 5, 3, 6])
     layout = layout_of_batch(batch)

@@ -66,12 +66,12 @@ class Coordination:
     lenient_expert_s: float
 
     @property
-    def judged(self) -> int:
-        """Number of sub-tasks that could be compared with a plan or with reach.
+    def judged(self) -> bool:
+        """Whether any sub-task could be compared with a plan or with reach.
 
-        It is 0 for policies that name no objects, as end-to-end models do.
+        None can where they name no objects, as those of end-to-end models.
         """
-        return self.doable + self.planned
+        return bool(self.doable or self.planned)
 
 
 _COUNTED = ("doable", "able", "planned", "as_expert", "order_violations")

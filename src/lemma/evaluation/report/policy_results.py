@@ -23,6 +23,7 @@ from lemma.evaluation.lines import is_lines, lines_beside, read_lines, result_be
 from lemma.evaluation.protocol.language_controls import FULL
 from lemma.evaluation.protocol.rules import check_protocol
 from lemma.evaluation.records import SUMMARY
+from lemma.policies.spec import PolicySpec
 from lemma.tasks.names import SUITE, in_order
 
 NOTHING = "–"
@@ -94,16 +95,22 @@ class PolicyResults:
     def untold(self) -> frozenset[Cause]:
         """The causes that its episodes cannot tell, whatever happened in them.
 
-        The expert judges sub-tasks that name objects. Without a judged one, either they
-        name none, or there are none, as at control level.
+        The expert judges sub-tasks that name objects. Without a judged one they name
+        none; at control level there are none.
         """
         found = self.causes()
+        if any(map(_controls, self.results)) or not OF_CONTROL.isdisjoint(found):
+            return OF_SUBTASKS.difference(found)
         known = [one for result in self.results for one in result.coordination]
         if not known or any(one.judged for one in known):
-            return OF_CONTROL.difference(found)
-        if OF_SUBTASKS.isdisjoint(found):
-            return OF_SUBTASKS
+            return OF_CONTROL
         return (OF_CONTROL | OF_NAMES).difference(found)
+
+
+def _controls(result: Result) -> bool:
+    """Return whether a policy gave motor commands."""
+    policy = result.about["policy"]
+    return PolicySpec(policy["name"], level=policy.get("level", "")).controls
 
 
 def pooled(cells: list[Cell]) -> float:

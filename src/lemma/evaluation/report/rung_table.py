@@ -56,11 +56,17 @@ def command_table(
                 entry.title,
                 f"`{entry.results[0].command}`",
                 ", then ".join(f"`{part}`" for part in trained if part) or NOTHING,
-                seconds.get(one.policy.name, NOTHING),
+                seconds.get(one.policy.name) or _limit(one.training),
             )
         )
-    header = ("row", "makes the row", "trains its weights", "recorded seconds, by seed")
+    header = ("row", "makes the row", "trains its weights", "seconds, by seed")
     return Table(header, tuple(rows), labels=3)
+
+
+def _limit(training: str) -> str:
+    """Return the time after which a command ends a training [s], if it has one."""
+    found = re.search(r"--train-s (\d+)", training)
+    return found[1] if found else NOTHING
 
 
 def _of_ladder(entries: Iterable[PolicyResults]) -> list[PolicyResults]:
