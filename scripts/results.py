@@ -160,8 +160,8 @@ _NAMES = """\
 - ET: [Episodic Transformer]({0}policies.md#episodic-transformer), which plans one \
 sub-task from each new image (*single-step*), or all from the first (*multi-step*).
 - [CLIPort]({0}policies.md#cliport-and-m-cliport) finds the poses of a sub-task, \
-M-CLIPort whole decisions. [ReachNet]({0}policies.md#reachnet) learns the reach of arms \
-from labels of the simulator, or from demonstrations alone.
+M-CLIPort whole decisions. [ReachNet]({0}policies.md#reachnet) learns the reach of \
+arms from labels of the simulator, or from demonstrations alone.
 - GTA, ground-truth allocation: an oracle names the robot of each sub-task, \
 [not the policy]({0}evaluation.md#inputs-of-an-episode).
 - *High-level*, *human*, *unseen* and *blind* are \
