@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lemma.core.arguments import Count, Depth, Share, Width, Widths
+from lemma.core.arguments import Count, Depth, Ratio, Share, Width, Widths
 from lemma.env.view import View
 from lemma.policies.batch import (
     MAX_PAST,
@@ -36,6 +36,7 @@ from lemma.policies.layers import (
     sinusoids,
 )
 from lemma.policies.models.base import MODELS, MapModel, subtask_of
+from lemma.policies.models.cell_detector import CellDetector
 from lemma.policies.models.view_cache import ViewCache
 from lemma.policies.text.encoder import TextConfig, TextEncoder, TextKind
 from lemma.tasks.subtask import SubTask
@@ -88,6 +89,9 @@ class EpisodicTransformerConfig:
     second_look: bool = False
     """Whether a frame's token, once it has met the words, attends to the frame's cells.
     The paper's model does not; it tells what the single token costs."""
+    detection: Ratio = 0.0
+    """Weight of the loss of finding all entities in the cells. If 0, decisions alone
+    train the image network; that of the original could detect objects before."""
 
 
 class FrameNetwork(Network):
@@ -270,6 +274,8 @@ class EpisodicTransformer(MapModel):
             self.cell_token = nn.Linear(config.cell_channels, width)
             self.cell_places = drawn(config.grid**2, width)
             self.look = nn.MultiheadAttention(width, config.heads, batch_first=True)
+        if config.detection:
+            self.detector = CellDetector(config.cell_channels, len(named))
         self.heads = nn.ModuleList(nn.Linear(width, n) for n in sizes)
         self._seen: ViewCache[Tensor] = ViewCache()
 
@@ -280,19 +286,27 @@ class EpisodicTransformer(MapModel):
             batch: Batch with labels, which have the episodes of frames; see
                 :func:`layout_of_batch`.
         """
-        cells = self.frames(batch.rgb, batch.height_m, batch.coverage)
-        return self._decide(cells, layout_of_batch(batch))
+        return self._decide(self._cells(batch), layout_of_batch(batch))
+
+    def _cells(self, batch: Batch) -> Tensor:
+        cells: Tensor = self.frames(batch.rgb, batch.height_m, batch.coverage)
+        return cells
 
     def loss(self, batch: Batch) -> dict[str, Tensor]:
-        """Return the cross-entropy of each part of the decision."""
+        """Return the cross-entropy of each part of the decision, and of detection."""
         assert batch.labels is not None
-        targets = batch.labels.decision
-        return {
-            part: _cross_entropy(scores.float(), targets[:, i])
-            for i, (part, scores) in enumerate(
-                zip(PARTS, self.forward(batch), strict=True)
-            )
+        targets, cells = batch.labels.decision, self._cells(batch)
+        scores = self._decide(cells, layout_of_batch(batch))
+        terms = {
+            part: _cross_entropy(scores[i].float(), targets[:, i])
+            for i, part in enumerate(PARTS)
         }
+        weight = self.config.detection
+        if weight:
+            objects = batch.labels.objects
+            found = self.detector.loss(self._each(cells), objects, batch.raster)
+            terms["detection"] = weight * found
+        return terms
 
     def score(self, batch: Batch) -> dict[str, Tensor]:
         """Return whether each part is right, and whether all are (``plan``), (B,)."""
@@ -368,10 +382,13 @@ class EpisodicTransformer(MapModel):
         inputs = (out, out, objects, objects)
         return [head(x) for head, x in zip(self.heads, inputs, strict=True)]
 
+    def _each(self, cells: Tensor) -> Tensor:
+        """Return the features of each cell, (B, grid**2, cell_channels)."""
+        return cells.reshape(len(cells), self.config.cell_channels, -1).mT
+
     def _seen_again(self, at_frames: Tensor, cells: Tensor) -> Tensor:
         """Return what the token of each frame finds in its cells, (B, width)."""
-        each = cells.reshape(len(cells), self.config.cell_channels, -1).mT
-        keys = self.cell_token(each) + self.cell_places
+        keys = self.cell_token(self._each(cells)) + self.cell_places
         found: Tensor = self.look(
             at_frames.unsqueeze(1), keys, keys, need_weights=False
         )[0]
