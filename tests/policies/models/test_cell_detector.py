@@ -1,4 +1,4 @@
-"""Cells: the loss is least where entities are, and a network learns to find them."""
+"""Cells: a network learns what they have, and a probe finds what they tell."""
 
 import pytest
 import torch
@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from tiny_models import tiny
 
 from lemma.policies.models.cell_detector import CellDetector
+from lemma.scene.objects.palette import OBJECT_COLORS
+from probe_frames import Seen, ask
 
 SIDE = 7
 
@@ -67,3 +69,22 @@ def test_the_image_network_learns_where_things_are() -> None:
     # Half a cell at most, or one more where pooled cells share pixels.
     assert (off <= 1.5).all()
     assert "detection" not in tiny("episodic-transformer").loss(batch)
+
+
+def test_the_probe_finds_what_cells_tell_of_a_color_and_nothing_else() -> None:
+    torch.manual_seed(1)
+    count = len(OBJECT_COLORS)
+    seen = []
+    for _ in range(500):
+        cells = torch.randn(3 * count)
+        chance = torch.randn(count)
+        told, unknown = (
+            [(torch.eye(count)[n], bool(numbers[n] > 0)) for n in range(count)]
+            for numbers in (cells, chance)
+        )
+        seen.append(Seen(cells, {"told": told, "unknown": unknown}))
+    common, right = ask(seen, "told")
+    assert common < 0.6 < 0.9 < right
+    common, right = ask(seen, "unknown")
+    assert common < 0.6
+    assert right < 0.6

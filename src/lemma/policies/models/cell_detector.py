@@ -1,8 +1,8 @@
 """Finding entities in the cells of a pooled image, as a task beside a model's own.
 
 The image network of the original Episodic Transformer had learned to detect objects
-before. One that learns from decisions alone sees no cubes: a cube covers few pixels,
-and its place decides nothing but which robot acts.
+before. One that learns from decisions alone hardly sees cubes: a cube covers few
+pixels, and its place decides nothing but which robot acts.
 """
 
 import math
@@ -60,6 +60,7 @@ class CellDetector(nn.Module):
         size = objects.new_tensor([x_m, -y_m])
         there = objects[..., 0].isfinite()
         at = torch.where(there.unsqueeze(2), objects[..., :2] / size + 0.5, 0.5)
+        # Not by `grid.Cells`: pooled cells need be neither square nor of whole pixels.
         side = math.isqrt(features.shape[1])
         column_row = (at * side).clamp(0.0, side - 1e-4)
         column, row = column_row.floor().long().unbind(2)
