@@ -233,8 +233,11 @@ def test_any_table_is_set_or_refused(
     start = time.perf_counter()
     try:
         env.reset(options={"instance": Instance.from_dict(data)})
+        env.action_space.seed(0)
         for _ in range(3):
-            env.step(env.action_space.sample())
+            _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            if terminated or truncated:
+                break
         state = env.info()["state"]
         assert all(math.isfinite(x) for pose in state.values() for x in pose)
     except InvalidConfigError:

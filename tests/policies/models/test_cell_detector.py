@@ -51,7 +51,7 @@ def test_nothing_is_lost_where_an_entity_is(row: int, column: int) -> None:
 
 def test_the_image_network_learns_where_things_are() -> None:
     batch = drawn_batch(3)
-    model = tiny("episodic-transformer", detection=1.0, channels=(16, 16))
+    model = tiny("episodic-transformer", channels=(16, 16))
     optimiser = torch.optim.Adam(model.parameters(), 5e-3)
     for _ in range(250):
         loss = torch.stack(list(model.loss(batch).values())).sum()
@@ -68,7 +68,9 @@ def test_the_image_network_learns_where_things_are() -> None:
     off = (objects[there][:, :2] / torch.tensor([x_m, y_m]) - middle).abs() * SIDE
     # Half a cell at most, or one more where pooled cells share pixels.
     assert (off <= 1.5).all()
-    assert "detection" not in tiny("episodic-transformer").loss(batch)
+    without = tiny("episodic-transformer", detection=0.0)
+    assert "detection" not in without.loss(batch)
+    assert not hasattr(without, "detector")
 
 
 def test_the_probe_finds_what_cells_tell_of_a_color_and_nothing_else() -> None:

@@ -89,7 +89,7 @@ class EpisodicTransformerConfig:
     second_look: bool = False
     """Whether a frame's token, once it has met the words, attends to the frame's cells.
     The paper's model does not; it tells what the single token costs."""
-    detection: Ratio = 0.0
+    detection: Ratio = 1.0
     """Weight of the loss of finding all entities in the cells. If 0, decisions alone
     train the image network; that of the original could detect objects before."""
 
