@@ -217,9 +217,8 @@ def load_weights(path: Path, device: torch.device | str = "cpu") -> Model:
         )
     try:
         kind = MODELS[metadata.model][0]
-        former, options = kind.former_names, dict(metadata.options)
-        for part, values in kind.former_options.items():
-            options[part] = {**values, **options.get(part, {})}
+        former = kind.former_names
+        options = _completed(metadata.options, kind.former_options)
         with safe_open(path, "pt") as file:
             found = {_renamed(name, former): name for name in file.keys()}  # noqa: SIM118
             # Check shapes on "meta" first: valid options may need much memory.
@@ -274,6 +273,15 @@ def _renamed(name: str, former: Mapping[str, str]) -> str:
     for pattern, now in former.items():
         name = re.sub(pattern, now, name)
     return name
+
+
+def _completed(given: Mapping[str, Any], former: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with those that they lack, also in parts of the model."""
+    options = {**former, **given}
+    for part, values in former.items():
+        if isinstance(values, Mapping):
+            options[part] = _completed(given.get(part, {}), values)
+    return options
 
 
 def _check_shapes(

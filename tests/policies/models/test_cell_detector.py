@@ -1,5 +1,7 @@
 """Cells: a network learns what they have, and a probe finds what they tell."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from batches import RASTER, drawn_batch, labels_of
@@ -7,7 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tiny_models import tiny
 
+from lemma.policies.models.catalog import options_of
 from lemma.policies.models.cell_detector import CellDetector
+from lemma.policies.models.episodic_transformer import EpisodicTransformer
+from lemma.policies.weights_file import WeightsMetadata, load_weights, write_weights
 from lemma.scene.objects.palette import OBJECT_COLORS
 from probe_frames import Seen, ask
 
@@ -71,6 +76,24 @@ def test_the_image_network_learns_where_things_are() -> None:
     without = tiny("episodic-transformer", detection=0.0)
     assert "detection" not in without.loss(batch)
     assert not hasattr(without, "detector")
+
+
+def test_weights_from_before_detection_load_as_they_were(tmp_path: Path) -> None:
+    model = tiny("episodic-transformer", detection=0.0)
+    options = {k: v for k, v in options_of(model).items() if k != "detection"}
+    about = WeightsMetadata(
+        model="episodic-transformer",
+        options=options,
+        data={},
+        command="",
+        scores={},
+        training={},
+        lemma="",
+    )
+    write_weights(tmp_path / "old.safetensors", model.state_dict(), about)
+    loaded = load_weights(tmp_path / "old.safetensors")
+    assert isinstance(loaded, EpisodicTransformer)
+    assert loaded.config.detection == 0.0
 
 
 def test_the_probe_finds_what_cells_tell_of_a_color_and_nothing_else() -> None:

@@ -50,9 +50,9 @@ class Model(nn.Module, ABC):
     former_names: ClassVar[Mapping[str, str]] = {}
     """Patterns of names of weights in files of earlier releases, and the replacement of
     each."""
-    former_options: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
-    """By part of the model, options that files of earlier releases lack, with the
-    values of these releases."""
+    former_options: ClassVar[Mapping[str, Any]] = {}
+    """Options that files of earlier releases lack, with the values of these releases;
+    for a part of the model, its name and a mapping of its options."""
     config: Any
     """The options; a frozen dataclass whose fields are plain data."""
 

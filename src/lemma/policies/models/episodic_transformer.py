@@ -8,7 +8,7 @@ in object-centric planners.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -234,6 +234,7 @@ class EpisodicTransformer(MapModel):
     unit: ClassVar[Literal["frame", "episode"]] = "episode"
     selection: ClassVar[str] = "plan"
     former_names: ClassVar[Mapping[str, str]] = {r"^text\.reader\.": "text."}
+    former_options: ClassVar[Mapping[str, Any]] = {"detection": 0.0}
     config: EpisodicTransformerConfig
 
     def __init__(self, config: EpisodicTransformerConfig) -> None:

@@ -114,9 +114,7 @@ class ReachNet(MapModel):
         r"^(planner\.layers\.\d+\.hidden)\.0\.": r"\1_in.",
         r"^(planner\.layers\.\d+\.hidden)\.2\.": r"\1_out.",
     }
-    former_options: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "reader": {"refuses": False}
-    }
+    former_options: ClassVar[Mapping[str, Any]] = {"reader": {"refuses": False}}
     reads_outcomes = True
     of_fixed_shape = True
 
