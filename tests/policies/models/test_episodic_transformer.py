@@ -124,7 +124,8 @@ def test_a_frame_does_not_see_what_comes_after_it(second_look: bool) -> None:
 def test_a_second_look_counts_and_learns() -> None:
     model = tiny(second_look=True)
     torch.stack(list(model.loss(drawn_batch(3)).values())).sum().backward()
-    for part in (model.cell_token.weight, model.cell_places, model.look.in_proj_weight):
+    look = model.look.multihead_attn.in_proj_weight
+    for part in (model.cell_token.weight, model.cell_places, look):
         assert part.grad.abs().sum() > 0
 
 

@@ -274,7 +274,9 @@ class EpisodicTransformer(MapModel):
         if config.second_look:
             self.cell_token = nn.Linear(config.cell_channels, width)
             self.cell_places = drawn(config.grid**2, width)
-            self.look = nn.MultiheadAttention(width, config.heads, batch_first=True)
+            self.look = nn.TransformerDecoderLayer(
+                width, config.heads, width, config.dropout, norm_first=True
+            )
         if config.detection:
             self.detector = CellDetector(config.cell_channels, len(named))
         self.heads = nn.ModuleList(nn.Linear(width, n) for n in sizes)
@@ -377,7 +379,7 @@ class EpisodicTransformer(MapModel):
             tokens = layer(tokens, attends)
         at_frames = tokens[:, mask.shape[1] : mask.shape[1] + SLOTS][where]
         if self.config.second_look:
-            at_frames = at_frames + self._seen_again(at_frames, cells)
+            at_frames = self._look_again(at_frames, cells)
         out = self.norm_out(at_frames)
         objects = out + self.frame_skip(cells)
         inputs = (out, out, objects, objects)
@@ -387,13 +389,11 @@ class EpisodicTransformer(MapModel):
         """Return the features of each cell, (B, grid**2, cell_channels)."""
         return cells.reshape(len(cells), self.config.cell_channels, -1).mT
 
-    def _seen_again(self, at_frames: Tensor, cells: Tensor) -> Tensor:
-        """Return what the token of each frame finds in its cells, (B, width)."""
+    def _look_again(self, at_frames: Tensor, cells: Tensor) -> Tensor:
+        """Return the token of each frame after a look at its cells, (B, width)."""
         keys = self.cell_token(self._each(cells)) + self.cell_places
-        found: Tensor = self.look(
-            at_frames.unsqueeze(1), keys, keys, need_weights=False
-        )[0]
-        return found.squeeze(1)
+        looked: Tensor = self.look(at_frames.unsqueeze(0), keys.transpose(0, 1))
+        return looked.squeeze(0)
 
     def _first_views(self, cells: Tensor, layout: TokenLayout) -> Tensor:
         counts = torch.bincount(layout.episode, minlength=len(layout.actions))
