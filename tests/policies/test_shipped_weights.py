@@ -23,7 +23,7 @@ NAMES = tuple(published_weights())
 OTHER_SUITES = {"keypose", "team-reachnet"}
 """Weights whose rows are of the ladder alone."""
 SECOND_LOOK = "episodic-transformer-second-look"
-"""Weights that do not ship, because a checkout may weigh 90 MB."""
+"""Weights that do not ship: they answer one question, and are not of the paper."""
 NOT_SHIPPED = {"et-second-look-cliport"} | {
     f"{policy}-{rung}"
     for policy in ("act", "diffusion")
