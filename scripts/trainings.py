@@ -113,12 +113,12 @@ def read_trainings(folder: Path = FOLDER) -> list[Training]:
         DatasetError: A record is damaged.
     """
     found = []
-    for path in sorted(folder.glob("*.json")):
+    for path in folder.glob("*.json"):
         try:
             found.append(msgspec.convert(read_json(path), Training))
         except msgspec.ValidationError as error:
             raise DatasetError(f"{path} is no training: {error}.") from error
-    return found
+    return sorted(found, key=lambda one: (one.name, one.seed))
 
 
 def shares_of(one: Training) -> tuple[float, ...]:

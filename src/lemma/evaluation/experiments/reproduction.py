@@ -136,7 +136,7 @@ class Reproduction:
         """
         if self.weights is None and name in published_weights():
             return name
-        where = "are not published yet"
+        where = "are not published"
         if self.weights is not None:
             path = self.weights / name / file
             if path.is_file():

@@ -88,7 +88,7 @@ class EpisodicTransformerConfig:
     multi-step planning."""
     second_look: bool = False
     """Whether a frame's token, once it has met the words, attends to the frame's cells.
-    The paper's model does not; it tells what the single token costs."""
+    The paper's model does not: it has the single token alone."""
     detection: Ratio = 1.0
     """Weight of the loss of finding all entities in the cells. If 0, decisions alone
     train the image network; that of the original could detect objects before."""
@@ -274,8 +274,14 @@ class EpisodicTransformer(MapModel):
         if config.second_look:
             self.cell_token = nn.Linear(config.cell_channels, width)
             self.cell_places = drawn(config.grid**2, width)
+            # Its attention from token to token has one token only: it is a projection.
             self.look = nn.TransformerDecoderLayer(
-                width, config.heads, width, config.dropout, norm_first=True
+                width,
+                config.heads,
+                width,
+                config.dropout,
+                batch_first=True,
+                norm_first=True,
             )
         if config.detection:
             self.detector = CellDetector(config.cell_channels, len(named))
@@ -392,8 +398,8 @@ class EpisodicTransformer(MapModel):
     def _look_again(self, at_frames: Tensor, cells: Tensor) -> Tensor:
         """Return the token of each frame after a look at its cells, (B, width)."""
         keys = self.cell_token(self._each(cells)) + self.cell_places
-        looked: Tensor = self.look(at_frames.unsqueeze(0), keys.transpose(0, 1))
-        return looked.squeeze(0)
+        looked: Tensor = self.look(at_frames.unsqueeze(1), keys)
+        return looked.squeeze(1)
 
     def _first_views(self, cells: Tensor, layout: TokenLayout) -> Tensor:
         counts = torch.bincount(layout.episode, minlength=len(layout.actions))
