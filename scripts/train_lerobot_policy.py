@@ -58,6 +58,11 @@ POLICIES: dict[str, dict[str, Any]] = {
 latent variable. Diffusion Policy predicts actions instead of noise, which it learns
 from fewer samples. Chunks may pass the end of an episode: its last waypoint stays the
 target."""
+NETWORKS = {
+    "act": ("model.encoder", "model.decoder"),
+    "diffusion": ("diffusion.rgb_encoder", "diffusion.unet"),
+}
+"""Networks that are compiled, besides ACT's ResNet."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
@@ -89,7 +94,13 @@ def options(name: str, chunk: int = 0, executed: int = 0) -> dict[str, Any]:
 
 
 def make_policy(
-    name: str, seen: Film, device: str, state: str = FULL, **lengths: int
+    name: str,
+    seen: Film,
+    device: str,
+    state: str = FULL,
+    *,
+    compiled: bool = False,
+    **lengths: int,
 ) -> tuple[Any, Any, Any]:
     """Return an untrained policy with its pre- and post-processors.
 
@@ -98,6 +109,7 @@ def make_policy(
         seen: Its training data.
         device: Device of the policy.
         state: One of :data:`STATES`.
+        compiled: Whether to compile its networks, which takes a minute.
         lengths: As in :func:`options`.
     """
     inputs, outputs = seen.features()
@@ -117,7 +129,10 @@ def make_policy(
         vars(act)["FrozenBatchNorm2d"] = torch.nn.BatchNorm2d
     policy = get_policy_class(name)(config).to(device)
     if name == "act" and config.image_features:
-        normalize_together(policy.model)
+        normalize_together(policy.model, compiled=compiled)
+    if compiled:
+        for network in NETWORKS[name]:
+            policy.get_submodule(network).compile()
     if device != "cpu":
         policy = policy.to(memory_format=torch.channels_last)
     statistics = seen.statistics(poses=state == FULL)
@@ -125,7 +140,7 @@ def make_policy(
     return policy, before, after
 
 
-def normalize_together(act: Any) -> None:
+def normalize_together(act: Any, *, compiled: bool = False) -> None:
     """Make batch normalization see the images of all cameras of ACT as one batch.
 
     LeRobot's ACT runs its ResNet camera by camera. In training each camera would be
@@ -134,8 +149,11 @@ def normalize_together(act: Any) -> None:
 
     Args:
         act: The network of the policy.
+        compiled: Whether to compile its ResNet.
     """
     alone = act.backbone.forward
+    if compiled:
+        alone = torch.compile(alone)
     seen: list[torch.Tensor] = []
 
     def look(_: Any, inputs: tuple[Batch]) -> None:
@@ -242,7 +260,10 @@ def train(asked: argparse.Namespace) -> None:
     torch.set_float32_matmul_precision("high")
     seen = Film.load(asked.film, device)
     lengths = {"chunk": asked.chunk, "executed": asked.executed}
-    made = make_policy(asked.policy, seen, device, asked.state, **lengths)
+    compiled = device == "cuda" and not asked.no_compile
+    made = make_policy(
+        asked.policy, seen, device, asked.state, compiled=compiled, **lengths
+    )
     policy, before, _ = made
     batches = seen.batches(policy.config, asked.batch, asked.seed)
     print(f"{len(seen.last)} frames, {sum(p.numel() for p in policy.parameters())}")
@@ -316,6 +337,9 @@ def main(words: Sequence[str] | None = None) -> None:
     training.add_argument("--tell", type=int, default=100, help="steps between words")
     training.add_argument(
         "--no-graph", action="store_true", help="launch kernels one by one"
+    )
+    training.add_argument(
+        "--no-compile", action="store_true", help="use PyTorch's kernels as they are"
     )
     asked = parser.parse_args(words)
     if asked.verb == "film":
