@@ -200,9 +200,11 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
     )
     commands = Section(
         COMMANDS,
-        "`SEED` is 0, and for KeyPose also 1 and 2. Seconds of training are those of "
-        "`--train-s`, and for KeyPose of the [records](rows.md#trainings): the "
-        "published weights had the further option `--time-limit-s 610`.",
+        "`SEED` is 0, 1 or 2. Seconds of training are those of the "
+        "[records](rows.md#trainings). The published weights of KeyPose had the "
+        "further option `--time-limit-s 610`. With seed 0, ACT and Diffusion Policy "
+        "had a time limit, not `--steps`, and did as many steps; up to three of their "
+        "trainings shared a GPU.",
         command_table(every, seconds_by_name(trainings)),
         CONTROLS,
     )

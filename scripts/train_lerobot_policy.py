@@ -14,6 +14,7 @@ that time.
 import argparse
 import math
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -198,6 +199,31 @@ def save(
     last.symlink_to(here.name)
 
 
+def write_report(asked: argparse.Namespace, step: int, seconds: float) -> None:
+    """Write the report of a finished training, which ``scripts/trainings.py`` reads.
+
+    Args:
+        asked: Options of the training.
+        step: Number of its steps.
+        seconds: Duration of the training, without its preparation [s].
+    """
+    gpu = torch.cuda.is_available()
+    samples = step * asked.batch
+    report = {
+        "model": asked.policy,
+        "samples": samples,
+        "steps": step,
+        "seconds": seconds,
+        "samples_per_s": samples / seconds,
+        "gpu_memory_gb": torch.cuda.max_memory_allocated() / 1e9 if gpu else 0.0,
+        "device": torch.cuda.get_device_name() if gpu else "CPU",
+        "status": "finished" if asked.steps else "time is up",
+        "history": [],
+        "command": " ".join(["python", *sys.argv]),
+    }
+    write_json(asked.out / "report.json", report)
+
+
 def make_step(policy: Any, rate: torch.Tensor) -> Learn:
     """Return a function that runs a training step.
 
@@ -272,7 +298,7 @@ def train(asked: argparse.Namespace) -> None:
     learn = make_step(policy, rate)
     if device == "cuda" and not asked.no_graph:
         learn = captured(learn, before(next(batches)))
-    begin = reported = time.monotonic()
+    begin = reported = now = time.monotonic()
     step, saved, total = 0, 0, torch.zeros((), device=device)
     done = 0.0
     while done < 1.0:
@@ -293,6 +319,7 @@ def train(asked: argparse.Namespace) -> None:
         if (reached := min(int(done * asked.points), asked.points)) > saved:
             saved = reached
             save(asked.out, made, asked, step, min(done, 1.0))
+    write_report(asked, step, now - begin)
 
 
 def main(words: Sequence[str] | None = None) -> None:

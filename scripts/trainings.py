@@ -2,7 +2,8 @@
 
     python scripts/trainings.py runs/seed-0/* runs/ablations/*
 
-copies the reports of ``lemma train`` of these runs to results/trainings/.
+copies the reports of ``lemma train`` or of ``scripts/train_lerobot_policy.py`` of these
+runs to results/trainings/.
 ``scripts/results.py`` makes a table and a figure of the validation curves from them.
 """
 
@@ -41,11 +42,12 @@ class Training:
     samples_per_s: float
     """Frames per second, without validation and checkpoints."""
     gpu_memory_gb: float
+    """0 if unknown."""
     device: str
     status: str
     """``finished``, or ``time is up``."""
     selection: str
-    """Name of the score that selects the best weights."""
+    """Name of the score that selects the best weights; empty if the last are used."""
     curve: tuple[float, ...]
     """This score at each validation, from 0 to 1."""
     command: str
@@ -73,7 +75,7 @@ def training_from(report: Mapping[str, object], name: str) -> Training:
         name: Name of the weights.
     """
     parsed = msgspec.convert(report, _Report)
-    selection = MODELS[parsed.model][0].selection
+    selection = MODELS[parsed.model][0].selection if parsed.history else ""
     seed = parsed.command.partition("--seed ")[2].split()
     return Training(
         name=name,
@@ -168,8 +170,8 @@ def training_table(trainings: Sequence[Training]) -> Table:
             f"{one.samples:,}",
             f"{one.seconds:.0f}",
             f"{one.samples_per_s:.0f}",
-            f"{one.gpu_memory_gb:.0f}",
-            f"`{one.selection}` {100 * max(one.curve):.1f}",
+            f"{one.gpu_memory_gb:.0f}" if one.gpu_memory_gb else NOTHING,
+            f"`{one.selection}` {100 * max(one.curve):.1f}" if one.curve else NOTHING,
             NOTHING if change is None else f"{100 * change:+.1f}",
         )
         for one in trainings
@@ -214,13 +216,15 @@ def validation_figure(trainings: Iterable[Training]) -> Figure:
 def undrawn(trainings: Iterable[Training]) -> str:
     """Return a further sentence, about trainings that the figure lacks, if any."""
     missing = [
-        f"`{one.name}` of seed {one.seed}" for one in trainings if not shares_of(one)
+        f"`{one.name}` of seed {one.seed}"
+        for one in trainings
+        if one.curve and not shares_of(one)
     ]
     if not missing:
-        return " Not drawn: ablations."
+        return " Not drawn: ablations, and trainings without validation."
     return (
-        f" Not drawn: ablations, and {', '.join(missing)}, whose record does not say "
-        "when it was validated."
+        f" Not drawn: ablations, trainings without validation, and "
+        f"{', '.join(missing)}, whose record does not say when it was validated."
     )
 
 

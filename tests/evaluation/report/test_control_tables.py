@@ -20,6 +20,7 @@ from lemma.evaluation.experiments.catalog import EXPERIMENTS
 from lemma.evaluation.report import tables
 from lemma.evaluation.report.policy_results import (
     NOT_RUN,
+    NOTHING,
     PARTIAL,
     entries_of,
 )
@@ -96,20 +97,25 @@ def test_policies_of_one_rung_each_share_a_row() -> None:
     assert rung_table(entries_of([result(5)], complete=True)).rows == ()
     # Each has its own command, and a time where there is a record.
     found.append(result(2, experiment="keypose", tasks=EXPERIMENTS["keypose"].tasks))
-    rows = command_table(entries_of(found), {"keypose": "12, 13"}).rows
+    times = {"keypose": "12, 13", "act-reach": "500"}
+    rows = command_table(entries_of(found), times).rows
     titles = [EXPERIMENTS[name].title for name in (*rungs, "keypose")]
     assert sorted((row[0], row[-1]) for row in rows) == sorted(
-        zip(titles, ("500", "500", "12, 13"), strict=True)
+        zip(titles, ("500", NOTHING, "12, 13"), strict=True)
     )
     lift = EXPERIMENTS["act-lift"]
-    assert any(row[0] == lift.title and lift.training in row[2] for row in rows)
+    training = lift.training.replace("{seed}", "SEED")
+    assert any(row[0] == lift.title and training in row[2] for row in rows)
 
 
-def test_weights_whose_command_ends_by_time_are_marked() -> None:
-    made = [result(3, experiment=NAME, tasks=TASKS), result(5)]
+def test_weights_of_a_training_that_a_time_ended_are_marked() -> None:
+    limited = result(3, experiment="keypose", tasks=EXPERIMENTS["keypose"].tasks)
+    weights = {"keypose": {"sha256": "f" * 64, "seed": 0, "ended": "time limit"}}
+    limited = replace(limited, about={**limited.about, "weights": weights})
+    made = [limited, result(5)]
     rows = {one.title: one.table for one in sections(entries_of(made))}[HOW].rows
     marked = {row[0]: "nobody can repeat it" in row[2] for row in rows}
-    assert marked == {TITLE: True, "ReachNet": False}
+    assert marked == {"KeyPose": True, "ReachNet": False}
 
 
 def test_a_result_of_all_their_tasks_is_no_sample() -> None:

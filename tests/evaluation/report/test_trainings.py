@@ -39,6 +39,11 @@ def test_trainings_are_kept_listed_and_plotted(tmp_path: Path) -> None:
     assert row[:5] == ("cliport", "a card", "1", "640", "12")
     assert row[-2:] == ("`grounded` 68.0", "+4.0")
     assert "cliport: grounded" in validation_figure([kept]).svg
+    # Policies of LeRobot have no validation.
+    unseen = {"model": "act", "history": [], "gpu_memory_gb": 0.0}
+    write_json(tmp_path / "run" / "report.json", {**report, **unseen})
+    (row,) = training_table([training_of(tmp_path / "run")]).rows
+    assert row[-3:] == (NOTHING,) * 3
     (tmp_path / "kept" / "two.json").write_text('{"name": 3}')
     with pytest.raises(DatasetError, match="no training"):
         read_trainings(tmp_path / "kept")
@@ -87,5 +92,8 @@ def test_the_figure_shows_all_seeds_but_ablations_and_names_what_it_lacks() -> N
     for one in every:
         drawn = f"<title>{one.name}, seed {one.seed}</title>" in picture
         told = f"`{one.name}` of seed {one.seed}" in undrawn(every)
-        assert (drawn, told).count(True) == (one.name not in ablations)
-    assert undrawn([one for one in every if shares_of(one)]) == " Not drawn: ablations."
+        assert (drawn, told).count(True) == bool(
+            one.curve and one.name not in ablations
+        )
+    known = [one for one in every if shares_of(one)]
+    assert undrawn(known) == " Not drawn: ablations, and trainings without validation."

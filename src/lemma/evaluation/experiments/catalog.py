@@ -45,8 +45,6 @@ DATA_COMMANDS = (
 TEAMS = ("ur5+ur5", "ur5+ur10", "ur10+ur10")
 """Teams in the order of the paper's tables."""
 _SEED = "{seed}"
-_TIMED = "--train-s"
-"""Option of a training that ends after some seconds."""
 _NONE: Mapping[str, str] = {}
 
 
@@ -146,11 +144,6 @@ class Experiment:
     def seeds(self) -> tuple[int, ...]:
         """Seeds with which its own commands train; only the first if they name none."""
         return SEEDS if _SEED in self.training else SEEDS[:1]
-
-    @property
-    def timed(self) -> bool:
-        """Whether its own commands end a training after a time, not after steps."""
-        return _TIMED in self.training.split()
 
     def trainings(self, seed: int) -> list[str]:
         """Return its own commands, in their order, for one training seed."""

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from lemma.core.tables import Table
 from lemma.evaluation.experiments.catalog import AND, CONTROL_LEVEL
 from lemma.evaluation.report.policy_results import NOTHING, PolicyResults, shown
+from lemma.policies.class_path import LEROBOT
 from lemma.tasks.names import LADDER
 
 _ALONE = re.compile(r", \w+ alone$")
@@ -56,17 +57,11 @@ def command_table(
                 entry.title,
                 f"`{entry.results[0].command}`",
                 ", then ".join(f"`{part}`" for part in trained if part) or NOTHING,
-                seconds.get(one.policy.name) or _limit(one.training),
+                seconds.get(one.policy.name.removeprefix(LEROBOT), NOTHING),
             )
         )
     header = ("row", "makes the row", "trains its weights", "seconds, by seed")
     return Table(header, tuple(rows), labels=3)
-
-
-def _limit(training: str) -> str:
-    """Return the time after which a command ends a training [s], if it has one."""
-    found = re.search(r"--train-s (\d+)", training)
-    return found[1] if found else NOTHING
 
 
 def _of_ladder(entries: Iterable[PolicyResults]) -> list[PolicyResults]:

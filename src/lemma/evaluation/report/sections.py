@@ -3,10 +3,9 @@
 The numbers come from results alone; the text is in ``page.md``.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 from lemma.core.tables import Table
 from lemma.evaluation.analysis.result import Result
@@ -48,7 +47,6 @@ PAIRS = "Pairs of which one cannot be done"
 HOW = "How each row is made"
 """Title of the table with command, weights and number of episodes of each result."""
 _LIMITED = " (a time limit ended the training: nobody can repeat it)"
-_TIMED = " (its command ends the training after some seconds: nobody can repeat it)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,14 +326,6 @@ def _extent(result: Result) -> str:
     return f"{episodes} of {len(kinds) * len(_wanted(result)) * SPLITS[split]}"
 
 
-def _end_of(weights: Mapping[str, Any], entry: PolicyResults) -> str:
-    """Return a remark about the end of a training that ran for a time."""
-    if weights.get("ended"):
-        return _LIMITED
-    # Weights of LeRobot do not say how their training ended.
-    return _TIMED if entry.experiment and entry.experiment.timed else ""
-
-
 def _provenance(entries: Iterable[PolicyResults]) -> Table:
     """Return the table of commands and weights of each result."""
     rows: list[tuple[str, ...]] = []
@@ -345,7 +335,7 @@ def _provenance(entries: Iterable[PolicyResults]) -> Table:
             rows.append((entry.title, command, NOT_RUN, "", ""))
         for result in entry.results:
             hashes = ", ".join(
-                f"{name} `{file['sha256'][:12]}`{_end_of(file, entry)}"
+                f"{name} `{file['sha256'][:12]}`{_LIMITED if 'ended' in file else ''}"
                 for name, file in result.about["weights"].items()
             )
             seed = str(result.seed) if hashes else "none"
