@@ -63,7 +63,7 @@ NETWORKS = {
     "act": ("model.encoder", "model.decoder"),
     "diffusion": ("diffusion.rgb_encoder", "diffusion.unet"),
 }
-"""Networks that are compiled, besides ACT's ResNet."""
+"""Networks that are compiled, besides ACT's ResNet. Without images some are missing."""
 WARMUP_STEPS = 500
 LONGEST_GRADIENT = 10.0
 STEPS_BEFORE_CAPTURE = 3
@@ -132,8 +132,9 @@ def make_policy(
     if name == "act" and config.image_features:
         normalize_together(policy.model, compiled=compiled)
     if compiled:
-        for network in NETWORKS[name]:
-            policy.get_submodule(network).compile()
+        for part, network in policy.named_modules():
+            if part in NETWORKS[name]:
+                network.compile()
     if device != "cpu":
         policy = policy.to(memory_format=torch.channels_last)
     statistics = seen.statistics(poses=state == FULL)

@@ -1,10 +1,11 @@
 """Policies trained on frames in memory: the same frames, and policies of LeRobot."""
 
 import math
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -256,6 +257,28 @@ def test_images_are_normalized_as_in_training() -> None:
         found = features_of(type(learner).from_pretrained(work() / "normalized").eval())
     # Camera by camera it would be 0.46; this batch is small, and so is its variance.
     assert (found - in_training).norm() < 0.15 * in_training.norm()
+
+
+@pytest.mark.parametrize("told", [SENTENCE, PRIVILEGED])
+@pytest.mark.parametrize("policy", POLICIES)
+def test_compiled_networks_have_the_same_loss_and_names(policy: str, told: str) -> None:
+    seen = Film.load(filmed(told), "cpu")
+    traced, found = [], []
+
+    def backend(graph: Any, _: Any) -> Any:
+        # PyTorch traced it. Kernels of it are not made, which takes a minute.
+        traced.append(graph)
+        return graph
+
+    for compiled in (False, True):
+        torch.manual_seed(0)
+        with patch.object(torch, "compile", partial(torch.compile, backend=backend)):
+            learner, before, _ = make_policy(policy, seen, "cpu", compiled=compiled)
+        batch = before(next(seen.batches(learner.config, BATCH, 0)))
+        loss, _ = learner.train().forward(batch)
+        found.append((loss.item(), list(learner.state_dict())))
+        assert bool(traced) == compiled
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("policy", POLICIES)
