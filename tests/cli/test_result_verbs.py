@@ -10,10 +10,11 @@ def test_rows_without_weights_are_skipped_and_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
-    assert run("reproduce", "ablations", "--out", tmp_path, "--weights", tmp_path) == 0
+    assert run("reproduce", "ablations", "--out", tmp_path, "--weights", tmp_path) == 1
     captured = capsys.readouterr()
     assert "Skipped no-palette" in captured.err
     assert "lemma train reachnet" in captured.err
+    assert "Nothing was evaluated." in captured.err
     assert "results: 0." in captured.out
     assert "not run" in (tmp_path / "results.md").read_text()
 

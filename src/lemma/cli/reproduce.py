@@ -43,7 +43,7 @@ def reproduce(
     """Evaluate every row of the tables, and write the tables.
 
     Finished episodes are saved, so the same command continues an interrupted run.
-    Rows with missing weights are skipped, and listed at the end.
+    Rows with missing weights are skipped and named; the command fails if all are.
 
     Args:
         name: paper, reachnet-variants, controls, control-level, ablations; all, without
@@ -74,17 +74,22 @@ def reproduce(
     for result in read_results([out]) if out.exists() else []:
         check_protocol({"protocol": quote()}, result.about, "This command", out)
     engine = working.make_engine()
+    skipped = 0
     for experiment in experiments:
         try:
             config, _ = plan.config(experiment)
         except MissingWeightsError as error:
             messages().print(f"Skipped {experiment.name}: {error}", soft_wrap=True)
+            skipped += 1
             continue
         with progress_bar(experiment.name, config.total, _AT_INTERRUPT) as advance:
             plan.run(experiment, engine, advance)
     entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
     write_text(out / REPORT, page(entries))
     print_written(out / REPORT, entries)
+    if skipped == len(experiments):
+        complain("Nothing was evaluated.")
+        return 1
     return 0
 
 
@@ -95,19 +100,21 @@ def _check(
     device: str,
     working: WorkerOptions,
 ) -> int:
-    """Compare policies with their published lines; return 1 if one differs."""
-    failed = 0
+    """Compare policies with published lines; return 1 if one differs or all skip."""
+    failed = skipped = 0
     for experiment in experiments:
         name = experiment.name
         checkpoint = checkpoint_of(experiment.policy.name)
         if checkpoint is not None and find_spec("lerobot") is None:
             messages().print(f"Skipped {name}: lerobot is not installed here.")
+            skipped += 1
             continue
         try:
             engine = working.make_engine()
             found = check_experiment(experiment, results, episodes, engine, device)
         except MissingWeightsError as error:
             messages().print(f"Skipped {name}: {error}", soft_wrap=True)
+            skipped += 1
             continue
         except DatasetError as error:
             complain(f"{name}: {error}")
@@ -123,4 +130,7 @@ def _check(
             soft_wrap=True,
             markup=False,
         )
+    if skipped == len(experiments):
+        complain("Nothing was compared.")
+        return 1
     return int(failed > 0)

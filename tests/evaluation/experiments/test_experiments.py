@@ -333,10 +333,11 @@ def test_rows_at_control_level_are_checked_without_lerobot(
     # Nor can it be checked with it, because its weights do not ship.
     for found, why in (None, "lerobot is not"), (True, "are not published"):
         monkeypatch.setattr("lemma.cli.reproduce.find_spec", lambda _, it=found: it)
-        assert run("reproduce", "act-reach", "--check", "--out", results) == 0
+        assert run("reproduce", "act-reach", "--check", "--out", results) == 1
         skipped = capsys.readouterr().err
         assert "Skipped act-reach" in skipped
         assert why in " ".join(skipped.split())
+        assert "Nothing was compared." in skipped
 
 
 @pytest.mark.slow
