@@ -73,24 +73,31 @@ def reproduce(
     )
     for result in read_results([out]) if out.exists() else []:
         check_protocol({"protocol": quote()}, result.about, "This command", out)
-    engine = working.make_engine()
-    skipped = 0
+    evaluated = _evaluate(experiments, plan, working)
+    entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
+    write_text(out / REPORT, page(entries))
+    print_written(out / REPORT, entries)
+    if not evaluated:
+        complain("Nothing was evaluated.")
+        return 1
+    return 0
+
+
+def _evaluate(
+    experiments: list[Experiment], plan: Reproduction, working: WorkerOptions
+) -> int:
+    """Evaluate all experiments whose weights exist; return their number."""
+    engine, evaluated = working.make_engine(), 0
     for experiment in experiments:
         try:
             config, _ = plan.config(experiment)
         except MissingWeightsError as error:
             messages().print(f"Skipped {experiment.name}: {error}", soft_wrap=True)
-            skipped += 1
             continue
         with progress_bar(experiment.name, config.total, _AT_INTERRUPT) as advance:
             plan.run(experiment, engine, advance)
-    entries = entries_of(read_results([out]) if out.exists() else [], complete=True)
-    write_text(out / REPORT, page(entries))
-    print_written(out / REPORT, entries)
-    if skipped == len(experiments):
-        complain("Nothing was evaluated.")
-        return 1
-    return 0
+        evaluated += 1
+    return evaluated
 
 
 def _check(
@@ -101,25 +108,24 @@ def _check(
     working: WorkerOptions,
 ) -> int:
     """Compare policies with published lines; return 1 if one differs or all skip."""
-    failed = skipped = 0
+    failed = compared = 0
     for experiment in experiments:
         name = experiment.name
         checkpoint = checkpoint_of(experiment.policy.name)
         if checkpoint is not None and find_spec("lerobot") is None:
             messages().print(f"Skipped {name}: lerobot is not installed here.")
-            skipped += 1
             continue
         try:
             engine = working.make_engine()
             found = check_experiment(experiment, results, episodes, engine, device)
         except MissingWeightsError as error:
             messages().print(f"Skipped {name}: {error}", soft_wrap=True)
-            skipped += 1
             continue
         except DatasetError as error:
             complain(f"{name}: {error}")
             failed += 1
             continue
+        compared += 1
         failed += not found.ok
         for difference in found.differing:
             output().print(f"{name} {difference}", soft_wrap=True, markup=False)
@@ -130,7 +136,6 @@ def _check(
             soft_wrap=True,
             markup=False,
         )
-    if skipped == len(experiments):
+    if not compared:
         complain("Nothing was compared.")
-        return 1
-    return int(failed > 0)
+    return int(failed > 0 or not compared)
