@@ -193,8 +193,9 @@ def pages(results: Path = RESULTS) -> dict[Path, str]:
         "The last column is the score at the end less that after four fifths, "
         "interpolated between validations. A small one does not prove that a training "
         "was long enough: the learning rate falls to zero along a cosine, which "
-        "flattens every curve. Frames per second are those of a machine that did other "
-        "work beside it.",
+        "flattens every curve. A training that a time ended cannot be repeated "
+        "exactly. Frames per second are those of a machine that did other work beside "
+        "it.",
         training_table(trainings),
         ROWS,
     )

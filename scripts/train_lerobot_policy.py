@@ -31,6 +31,7 @@ from demonstration_film import Batch, Film, film
 from lemma.core.files import write_json
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style
 from lemma.env.learning.motor_state import WAYPOINT
+from lemma.policies.weights_file import TIME_LIMIT
 
 POLICIES: dict[str, dict[str, Any]] = {
     "act": {
@@ -190,6 +191,7 @@ def save(
         "seed": asked.seed,
         "batch_size": asked.batch,
         "steps": asked.steps or NO_END,
+        **({} if asked.steps else {"ended": TIME_LIMIT}),
     }
     write_json(here / "pretrained_model" / "train_config.json", about)
     (here / "training_state").mkdir()

@@ -7,12 +7,13 @@ runs to results/trainings/.
 ``scripts/results.py`` makes a table and a figure of the validation curves from them.
 """
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
+import tyro
 
 from lemma.core.errors import DatasetError
 from lemma.core.files import read_json, write_json
@@ -169,6 +170,7 @@ def training_table(trainings: Sequence[Training]) -> Table:
             f"{one.seed}",
             f"{one.samples:,}",
             f"{one.seconds:.0f}",
+            "steps" if one.status == "finished" else "time",
             f"{one.samples_per_s:.0f}",
             f"{one.gpu_memory_gb:.0f}" if one.gpu_memory_gb else NOTHING,
             f"`{one.selection}` {100 * max(one.curve):.1f}" if one.curve else NOTHING,
@@ -178,8 +180,8 @@ def training_table(trainings: Sequence[Training]) -> Table:
         for change in [late_change(one)]
     )
     header = (
-        *("weights", "device", "seed", "frames", "seconds", "frames/s", "memory [GB]"),
-        *("best validation [%]", "change in the last fifth [points]"),
+        *("weights", "device", "seed", "frames", "seconds", "ended by", "frames/s"),
+        *("memory [GB]", "best validation [%]", "change in the last fifth [points]"),
     )
     return Table(header, tuple(rows), labels=2)
 
@@ -228,13 +230,16 @@ def undrawn(trainings: Iterable[Training]) -> str:
     )
 
 
-def main() -> None:
-    """Write the records of the runs on the command line."""
-    for argument in sys.argv[1:]:
-        run = Path(argument)
+def main(runs: Annotated[tuple[Path, ...], tyro.conf.Positional]) -> None:
+    """Write the records of some trainings to results/trainings/.
+
+    Args:
+        runs: Folders of the trainings, such as runs/seed-0/*.
+    """
+    for run in runs:
         one = training_of(run)
         write_json(FOLDER / f"{one.name}-seed-{one.seed}.json", asdict(one))
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)

@@ -18,9 +18,11 @@ from demonstration_film import AROUND, FIRST, FOCUS, OPEN_M, Film, film
 from lemma.dataset.lerobot.frames import PRIVILEGED, SENTENCE, Style, frames
 from lemma.dataset.recipe.files import read_group
 from lemma.env.learning.motor_state import WAYPOINT
+from lemma.evaluation.run.loading import weights_of
 from lemma.evaluation.run.rollout import Rollout
 from lemma.policies.control.interfaces import ControlInput
 from lemma.policies.control.lerobot import LeRobotPolicy, PrivilegedLeRobotPolicy
+from lemma.policies.spec import PolicySpec
 from lemma.policies.weights_file import TIME_LIMIT, read_metadata
 from measure_waypoints import main as main_of_errors
 from publish_weights import Fineness, pack_checkpoint
@@ -145,6 +147,8 @@ def test_weights_say_that_a_time_ended_their_training() -> None:
         made = folder / "checkpoints/last/pretrained_model"
         assert pack_checkpoint(made, path, words, Fineness(512.0)).ended == ended
         assert read_metadata(path).ended == ended
+        played = weights_of(PolicySpec(f"lerobot:{made}"))["act"]
+        assert ("ended" in played) == (ended == TIME_LIMIT)
 
 
 def test_new_waypoints_are_decisive() -> None:

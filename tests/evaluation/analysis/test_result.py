@@ -8,6 +8,7 @@ import pytest
 from made_up import ABOUT, result, row, step
 
 from lemma.core.errors import DatasetError
+from lemma.core.files import write_json
 from lemma.evaluation.analysis.result import read_result, summarise
 from lemma.evaluation.lines import read_lines, write_rows
 from lemma.evaluation.records import (
@@ -104,15 +105,18 @@ def test_weights_of_lerobot_are_those_of_the_folder(tmp_path: Path) -> None:
     policy = PolicySpec(f"lerobot:{tmp_path}")
     assert weights_of(policy) == {}
     (tmp_path / "config.json").write_text('{"type": "act"}')
-    training = '{"seed": 3, "dataset": {"repo_id": "you/two"}}'
-    (tmp_path / "train_config.json").write_text(training)
+    training: dict[str, Any] = {"seed": 3, "dataset": {"repo_id": "you/two"}}
+    write_json(tmp_path / "train_config.json", training)
     digests = set()
     for content in (b"one", b"another"):
         (tmp_path / "model.safetensors").write_bytes(content)
         about = weights_of(policy)["act"]
         assert (about["seed"], about["data"]) == (3, {"repo_id": "you/two"})
+        assert "ended" not in about
         digests.add(about["sha256"])
     assert len(digests) == 2
+    write_json(tmp_path / "train_config.json", {**training, "ended": "time limit"})
+    assert weights_of(policy)["act"]["ended"] == "time limit"
 
 
 def kept(folder: Path, rows: list[dict[str, Any]]) -> Path:

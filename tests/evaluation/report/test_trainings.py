@@ -36,7 +36,7 @@ def test_trainings_are_kept_listed_and_plotted(tmp_path: Path) -> None:
     write_json(tmp_path / "kept" / "one.json", asdict(kept))
     assert read_trainings(tmp_path / "kept") == [kept]
     (row,) = training_table([kept]).rows
-    assert row[:5] == ("cliport", "a card", "1", "640", "12")
+    assert row[:6] == ("cliport", "a card", "1", "640", "12", "steps")
     assert row[-2:] == ("`grounded` 68.0", "+4.0")
     assert "cliport: grounded" in validation_figure([kept]).svg
     # Policies of LeRobot have no validation.
@@ -62,6 +62,7 @@ def test_the_late_change_begins_at_four_fifths_wherever_validations_were() -> No
     assert late_change(kept((*rising, 1.0))) == pytest.approx(0.2)
     for shares in ((0.3, 0.74, 1.0), (0.1, 0.8, 1.0), (0.5, 0.85, 0.95, 1.0)):
         assert late_change(kept(shares, shares)) == pytest.approx(0.2)
+    assert training_table([kept(rising)]).rows[0][5] == "time"
     for unknown in (kept((0.1, 0.2, 0.3)), kept((0.5,), (1.0,))):
         assert late_change(unknown) is None
         assert training_table([unknown]).rows[0][-1] == NOTHING

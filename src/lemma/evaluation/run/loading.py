@@ -269,6 +269,8 @@ def _lerobot_weights(name: str) -> Weights:
             training = read_json(folder / "train_config.json")
             found["seed"] = training["seed"] or 0
             found["data"] = {"repo_id": training["dataset"]["repo_id"]}
+            if "ended" in training:  # by scripts/train_lerobot_policy.py
+                found["ended"] = training["ended"]
     except (DatasetError, KeyError, TypeError) as error:
         raise WeightsError(
             f"{name} is no whole checkpoint of LeRobot: its config.json or "
